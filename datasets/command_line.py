@@ -41,9 +41,9 @@ def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[s
     try:
         with terminable():
             app = application(command, name, given)
-            found = app(given, exit_on_error=False, print_error=False, result_action="return_value")
-            if isinstance(found, str):
-                print(found)
+            result = app(given, exit_on_error=False, print_error=False, result_action="return_value")
+            if isinstance(result, str):
+                print(result)
             sys.stdout.flush()
     except (CycloptsError, InputError) as error:
         print(f"talus: {' '.join(str(error).split())}", file=sys.stderr)
@@ -68,7 +68,7 @@ def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[s
         return 128 + (signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
     finally:
         warnings.formatwarning = python_format
-    return found if isinstance(found, int) else 0
+    return result if isinstance(result, int) else 0
 
 
 def application(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[str]) -> "App":

@@ -67,10 +67,14 @@ class Comparison:
         return {
             "runs": list(self.labels),
             "time": self.time.tolist(),
-            "series": {name: {key: own[:-1].tolist() for key, own in each.items()} for name, each in every.items()},
-            "end": {name: {key: float(own[-1]) for key, own in each.items()} for name, each in every.items()},
+            "series": {
+                name: {key: series[:-1].tolist() for key, series in figures.items()} for name, figures in every.items()
+            },
+            "end": {
+                name: {key: float(series[-1]) for key, series in figures.items()} for name, figures in every.items()
+            },
             "end_time": dict(zip("ab", self.ends, strict=True)),
-            "profile": {key: own.tolist() for key, own in profile.items()},
+            "profile": {key: values.tolist() for key, values in profile.items()},
         }
 
     def table(self) -> str:
@@ -79,7 +83,7 @@ class Comparison:
         for key, unit in FIGURES.items():
             name = "mean height" if key == "height" else key if unit == "m" else f"{key} energy"
             per_width = "/m" if unit == "J" and self.dimension == 2 else ""
-            one, other = (float(own[key][-1]) for own in self.figures)
+            one, other = (float(figures[key][-1]) for figures in self.figures)
             rows.append([f"{name} [{unit}{per_width}]", spoken(one), spoken(other), spoken(other - one, "+.3g")])
         rows += [[f"{name}, rms [m]", "", "", spoken(self.apart[key][-1], ".3g")] for name, key in APART.items()]
         rows.append(["overlap in plan [-]", "", "", spoken(self.apart[OVERLAP][-1], ".3g")])
@@ -92,7 +96,7 @@ def figures_of(flow: FlowFields, values: Values) -> list[float]:
     if not here.any():
         return [math.nan] * len(FIGURES)
     positions, volume = values["position"][here].astype(np.float64), flow.trajectory.volumes[here]
-    mass = volume * np.array([each.density for each in flow.materials])[flow.material[here]]
+    mass = volume * np.array([material.density for material in flow.materials])[flow.material[here]]
     squares = None if velocity is None else np.sum(velocity[here].astype(np.float64) ** 2, axis=1)
     kinetic = math.nan if squares is None else float(0.5 * mass @ squares)
     potential = float(-mass @ (positions @ np.array(flow.trajectory.scene.gravity_vector)))
@@ -113,8 +117,8 @@ class Columns:
     @staticmethod
     def of_flows(flows: Sequence[Trajectory]) -> "Columns":
         """Columns that divide the length along x."""
-        width = 2.0 * max(max(each.scene.domain.cell, FlowFields(each).spacing) for each in flows)
-        plan = tuple(np.max([each.scene.domain.size[::2] for each in flows], axis=0).tolist())
+        width = 2.0 * max(max(flow.scene.domain.cell, FlowFields(flow).spacing) for flow in flows)
+        plan = tuple(np.max([flow.scene.domain.size[::2] for flow in flows], axis=0).tolist())
         return Columns(plan[0] / max(2, round(plan[0] / width)), plan)
 
     @property
@@ -149,7 +153,7 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     """
     dimension, its = one.scene.dimension, other.scene.dimension
     require(dimension == its, "", f"a {dimension}D flow to compare with one", f"{its}D")
-    places = [each.scene.domain.corner.tolist() for each in (one, other)]
+    places = [flow.scene.domain.corner.tolist() for flow in (one, other)]
     require(places[0] == places[1], "", f"a flow in a box at {places[0]}, as the other", f"one at {places[1]}")
     both, columns = (FlowFields(one), FlowFields(other)), Columns.of_flows((one, other))
     same = pairs(*both)
@@ -159,21 +163,21 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     ends = (float(one.time[-1]), float(other.time[-1]))
     rows: tuple[list[list[float]], ...] = ([], [], [])
     for at in [*((moment, moment) for moment in time.tolist()), ends]:
-        values = [each.at_time(moment) for each, moment in zip(both, at, strict=True)]
-        first, second = (each["position"] for each in values)
-        entered = [each["entered"] for each in values]
+        values = [fields.at_time(moment) for fields, moment in zip(both, at, strict=True)]
+        first, second = (state["position"] for state in values)
+        entered = [state["entered"] for state in values]
         heights = (columns.thickness(one, first[entered[0]]), columns.thickness(other, second[entered[1]]))
-        for own, each, known in zip(rows, both, values, strict=False):
-            own.append(figures_of(each, known))
+        for series, fields, state in zip(rows, both, values, strict=False):
+            series.append(figures_of(fields, state))
         thickness = measures.thickness_apart(*heights)
         moved = transport = math.nan
         if all(here.any() for here in entered):
             parts = zip((first, second), (one.volumes, other.volumes), entered, strict=True)
-            transport = measures.transport_distance(*(own[here] for *owns, here in parts for own in owns))
+            transport = measures.transport_distance(*(array[here] for *owns, here in parts for array in owns))
         if same is not None and (here := entered[0][same[0]] & entered[1][same[1]]).any():
             moved = measures.rms(np.linalg.norm(first[same[0]] - second[same[1]], axis=1)[here])
         rows[2].append([thickness, transport, moved, measures.overlap(*heights)])
-    figures = [dict(zip(FIGURES, np.array(own).T, strict=True)) for own in rows[:2]]
+    figures = [dict(zip(FIGURES, np.array(series).T, strict=True)) for series in rows[:2]]
     return Comparison(
         labels=labels,
         dimension=dimension,
@@ -191,20 +195,22 @@ def spoken(value: float, form: str = ".5g") -> str:
     return "-" if math.isnan(value) else format(value, form)
 
 
-def draw(path: Path, found: Comparison) -> None:
+def draw(path: Path, comparison: Comparison) -> None:
     """Profiles of the deposits; fronts, energies and distances over time."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 6.4), layout="constrained")
     (profile, front), (energy, apart) = figure.subplots(2, 2)
-    for label, own, heights, line in zip(found.labels, found.figures, found.heights, ("-", "--"), strict=True):
-        profile.plot(found.stations, heights, line, label=label)
-        front.plot(found.time, own["front"][:-1], line, label=label)
-        energy.plot(found.time, own["kinetic"][:-1], line, label=label)
+    for label, figures, heights, line in zip(
+        comparison.labels, comparison.figures, comparison.heights, ("-", "--"), strict=True
+    ):
+        profile.plot(comparison.stations, heights, line, label=label)
+        front.plot(comparison.time, figures["front"][:-1], line, label=label)
+        energy.plot(comparison.time, figures["kinetic"][:-1], line, label=label)
     for name, key in APART.items():
-        apart.plot(found.time, found.apart[key][:-1], label=name)
+        apart.plot(comparison.time, comparison.apart[key][:-1], label=name)
     titles = ("where they end", "front", "kinetic energy", "distance, root mean square")
-    labels = ("thickness [m]", "x [m]", "[J]" if found.dimension == 3 else "[J/m]", "[m]")
+    labels = ("thickness [m]", "x [m]", "[J]" if comparison.dimension == 3 else "[J/m]", "[m]")
     for panel, title, label in zip((profile, front, energy, apart), titles, labels, strict=True):
         panel.set_title(title, loc="left", fontsize=10)
         panel.set(xlabel="x [m]" if panel is profile else "time [s]", ylabel=label)
@@ -225,21 +231,21 @@ def command(one: Path, other: Path, /, *, out: Path | None = None) -> None:
     paths = [trajectory_file(path) for path in (one, other)]
     first, second = (open_trajectory(path, "velocities") for path in paths)
     with naming(paths[1]):
-        found = compare(first, second, labels=labels_of(one, other))
-    print(found.table())
+        comparison = compare(first, second, labels=labels_of(one, other))
+    print(comparison.table())
     if out is None:
         return
     make_folder(out)
-    draw(out / "comparison.png", found)
-    write_json(out / "comparison.json", found.as_json())
-    title = f"# {found.labels[0]} and {found.labels[1]}"
-    write_text(out / "comparison.md", f"{title}\n\n{found.table()}\n\n![comparison](comparison.png)\n")
+    draw(out / "comparison.png", comparison)
+    write_json(out / "comparison.json", comparison.as_json())
+    title = f"# {comparison.labels[0]} and {comparison.labels[1]}"
+    write_text(out / "comparison.md", f"{title}\n\n{comparison.table()}\n\n![comparison](comparison.png)\n")
     print(f"written to {out / 'comparison.md'}")
 
 
 def labels_of(one: Path, other: Path) -> tuple[str, str]:
     """What two runs are called: the names of their folders or files, or the whole paths where these are the same."""
-    names = tuple(each.name if each.is_dir() else each.stem for each in (one.resolve(), other.resolve()))
+    names = tuple(path.name if path.is_dir() else path.stem for path in (one.resolve(), other.resolve()))
     return (names[0], names[1]) if names[0] != names[1] else (str(one), str(other))
 
 

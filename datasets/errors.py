@@ -54,10 +54,10 @@ def require(ok: bool, key: str, expected: str, got: object) -> None:
         raise InputError(f"expected {expected}, got {got}", key=key)
 
 
-def suggestion(name: str, known: Collection[str]) -> str:
+def suggestion(name: str, names: Collection[str]) -> str:
     """Which of the known names may be meant by one that is none of them: the nearest, otherwise any."""
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"one of {', '.join(known)}"
+    near = difflib.get_close_matches(name, names, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"one of {', '.join(names)}"
 
 
 def shortened(text: str, most: int = LONGEST) -> str:

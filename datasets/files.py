@@ -133,17 +133,17 @@ def file_size(path: Path, what: str, *, most: int | None = None) -> int:
     what: such as `a trajectory (NPZ)`. A device or a pipe would never end.
     """
     try:
-        found = path.stat()
+        status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"expected {what}, there is none", where=str(path)) from None
     except (OSError, ValueError) as error:
         raise InputError(f"expected {what}, {line_of(error)}", where=str(path)) from None
-    if not stat.S_ISREG(found.st_mode):
-        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a device or a pipe"
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
         raise InputError(f"expected {what}, got {kind}", where=str(path))
-    if most is not None and found.st_size > most:
-        raise InputError(f"expected {what} of at most {spoken(most)}, got {spoken(found.st_size)}", where=str(path))
-    return found.st_size
+    if most is not None and status.st_size > most:
+        raise InputError(f"expected {what} of at most {spoken(most)}, got {spoken(status.st_size)}", where=str(path))
+    return status.st_size
 
 
 @contextmanager
@@ -209,9 +209,9 @@ def read_json(path: Path) -> dict[str, Any] | None:
 def json_object(text: str, key: str = "") -> dict[str, Any]:
     """Parse the JSON object that stands at `key`. Raises InputError."""
     try:
-        found = json.loads(text)
+        content = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"expected readable JSON, {line_of(error)}", key=key) from None
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise InputError("expected a JSON object", key=key)
-    return found
+    return content

@@ -307,8 +307,8 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequ
     most: dict[str, float | None] = {}
     for name, (title, unit, colours) in KINDS.items():
         values = getattr(maps, name)
-        known = values is not None and np.isfinite(values).any()
-        most[name] = float(f"{np.nanmax(values):.6g}") if known else None
+        any_finite = values is not None and np.isfinite(values).any()
+        most[name] = float(f"{np.nanmax(values):.6g}") if any_finite else None
         if values is not None:
             write_raster(folder / f"{name}.tif", values, maps.cell, maps.corner, maps.crs, title, unit)
             write_text(folder / f"{name}.qml", style(colours, most[name] or 1.0, unit))
@@ -323,7 +323,7 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequ
         "threshold": maps.threshold,
         "volume": maps.volume,
         "left": maps.left,
-        **{f"area_{name}": each.area for (name, level), each in outlines.items() if level == maps.threshold},
+        **{f"area_{name}": polygons.area for (name, level), polygons in outlines.items() if level == maps.threshold},
         "extent": None if largest is None else largest.bounds[2] - maps.corner[0] + trajectory.scene.domain.corner[0],
         **dict(zip(("east", "north"), maps.corner, strict=True)),
         "crs": maps.crs,

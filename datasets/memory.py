@@ -23,17 +23,17 @@ R = TypeVar("R")
 
 def free() -> int:
     """Memory that this process may still take [bytes]: what the machine, its container and its own limit leave."""
-    found: list[int] = [psutil.virtual_memory().available]
+    limits: list[int] = [psutil.virtual_memory().available]
     # No container, or one without a limit.
     with suppress(OSError, ValueError):
         most, used = (int((GROUP / f"memory.{name}").read_text()) for name in ("max", "current"))
-        found.append(most - used)
+        limits.append(most - used)
     if hasattr(psutil, "RLIMIT_AS"):
         process = psutil.Process()
         limit = process.rlimit(psutil.RLIMIT_AS)[0]
         if limit != psutil.RLIM_INFINITY:
-            found.append(limit - process.memory_info().vms)
-    return max(0, min(found))
+            limits.append(limit - process.memory_info().vms)
+    return max(0, min(limits))
 
 
 def require(size: float, what: str, instead: str, *, key: str = "") -> None:

@@ -53,7 +53,7 @@ def bounds_of(kind: type) -> dict[str, Bounds]:
     """The bounds that stand beside the types of a dataclass, by key."""
 
     def within(hint: Any) -> Iterator[Bounds]:
-        yield from (each for each in getattr(hint, "__metadata__", ()) if isinstance(each, Bounds))
+        yield from (item for item in getattr(hint, "__metadata__", ()) if isinstance(item, Bounds))
         for part in get_args(hint):
             yield from within(part)
 
@@ -97,7 +97,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     except ValidationError as error:
         mistakes = error.errors(include_url=False)
         # A misspelt key is also a missing one; "did you mean" helps more.
-        first = next((each for each in mistakes if each["type"] == "unexpected_keyword_argument"), mistakes[0])
+        first = next((mistake for mistake in mistakes if mistake["type"] == "unexpected_keyword_argument"), mistakes[0])
         # Where a key takes one of several types, pydantic names the type that it tried last.
         path = dotted(tuple(part for part in first["loc"] if part not in UNSEEN))
         cause = first.get("ctx", {}).get("error")
@@ -126,11 +126,11 @@ def keys_of(schema: dict[str, Any], place: Sequence[int | str]) -> tuple[list[st
     return [*here.get("properties", {})] or everywhere, everywhere
 
 
-def unknown_key(name: str, known: Sequence[str], elsewhere: Sequence[str] = ()) -> str:
+def unknown_key(name: str, names: Sequence[str], elsewhere: Sequence[str] = ()) -> str:
     """What is expected in place of a key that is none of the known ones, but perhaps one of another table."""
     if name in elsewhere:
         return "expected a known key, this one belongs in another table"
-    near = difflib.get_close_matches(name, known, n=1)
+    near = difflib.get_close_matches(name, names, n=1)
     return "expected a known key" + (f", did you mean {near[0]!r}?" if near else "")
 
 
@@ -145,7 +145,7 @@ def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
     def read(table: Any) -> T:
         if not isinstance(table, dict):
             raise InputError(f"expected a table, got {table!r}")
-        keys = {kind: ["kind", *(each.name for each in fields(record))] for kind, record in kinds.items()}  # type: ignore[arg-type]
+        keys = {kind: ["kind", *(field.name for field in fields(record))] for kind, record in kinds.items()}  # type: ignore[arg-type]
         users = {name: [kind for kind in kinds if name in keys[kind]] for name in table}
         for name in table:
             if not users[name]:

@@ -71,17 +71,17 @@ def site(
     InputError for a release that does not lie on the raster or has no thickness.
     """
     given, field = (thickness, None) if isinstance(thickness, float) else (None, thickness)
-    thick = [float(np.nanmax(field.values)) if field else thickness_of(each, given) for each in release]
+    thick = [float(np.nanmax(field.values)) if field else thickness_of(feature, given) for feature in release]
     covered = np.zeros(raster.values.shape, bool)
     masses, top, taken = [], -math.inf, shapely.Polygon()
-    for feature, own in zip(release, thick, strict=True):
+    for feature, depth in zip(release, thick, strict=True):
         shape, taken = feature.polygon.difference(taken), taken.union(feature.polygon)
         for polygon in without_rings(shape):
-            mass, inside = layer(raster, polygon, field or own, vertical)
+            mass, inside = layer(raster, polygon, field or depth, vertical)
             covered |= inside
             masses.append(mass)
-            top = max(top, float(raster.values[inside].max()) + 2.0 * own)
-    twice = sum(each.polygon.area for each in release) - taken.area
+            top = max(top, float(raster.values[inside].max()) + 2.0 * depth)
+    twice = sum(feature.polygon.area for feature in release) - taken.area
     if twice > OVERLAP * taken.area:
         said = f"polygons of the release share {twice:.3g} m^2, which count once, by the first of them"
         warnings.warn(said, stacklevel=2)
@@ -116,14 +116,14 @@ def site(
 
 def thickness_of(feature: "Feature", given: float | None) -> float:
     """Thickness of a polygon [m]: the given one, else that of its attribute. Raises InputError."""
-    own = next((feature.attributes[name] for name in THICKNESS if name in feature.attributes), None)
+    attribute = next((feature.attributes[name] for name in THICKNESS if name in feature.attributes), None)
     try:
-        found = given if given is not None else float("nan" if own is None else own)
+        value = given if given is not None else float("nan" if attribute is None else attribute)
     except (TypeError, ValueError):
-        found = math.nan
+        value = math.nan
     expected = f"a thickness above 0 m, or an attribute {' or '.join(THICKNESS)} of each polygon"
-    require(0.0 < found < math.inf, "--thickness", expected, own if given is None else given)
-    return found
+    require(0.0 < value < math.inf, "--thickness", expected, attribute if given is None else given)
+    return value
 
 
 def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
@@ -202,7 +202,7 @@ def reached(raster: "Raster", release: NDArray[np.bool_], top: float, slope: flo
     here = np.isin(parts, np.unique(parts[release]))
     plan = [axis[here.any(axis=1 - number)] for number, axis in enumerate((raster.x, raster.z))]
     heights = raster.values[here & ~np.isnan(raster.values)]
-    lower, upper = ([function(each) for each in (plan[0], heights, plan[1])] for function in (np.min, np.max))
+    lower, upper = ([function(values) for values in (plan[0], heights, plan[1])] for function in (np.min, np.max))
     return np.array(lower, np.float64), np.array(upper, np.float64)
 
 
@@ -291,7 +291,7 @@ def command(
     terrain |= {name: os.path.relpath(path.resolve(), out.resolve().parent) for name, path in paths.items()}
     size, speed = scene.domain.size, greatest_speed(scene)
     seconds = 10.0 * math.ceil(0.1 * TRAVEL * math.hypot(*size[::2]) / max(speed, 1.0))
-    frame_dt = next((each for each in (1.0, 0.5, 0.2) if seconds / each >= FRAMES), 0.1)
+    frame_dt = next((step for step in (1.0, 0.5, 0.2) if seconds / step >= FRAMES), 0.1)
     times = {"duration": seconds, "frame_dt": frame_dt}
     head = f"# {release.name} on {dem.name}, by python -m datasets.site; in map coordinates.\n"
     write_text(out, head + tomli_w.dumps({**times, **table}))

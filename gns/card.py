@@ -87,16 +87,20 @@ class Card(Record):
     @property
     def ranges(self) -> dict[str, Range]:
         """Quantity -> least and greatest value in all training data."""
-        found: dict[str, Range] = {}
-        for each in self.datasets.values():
-            for name, (low, high) in each.ranges.items():
-                least, most = found.get(name, (low, high))
-                found[name] = min(low, least), max(high, most)
-        return found
+        union: dict[str, Range] = {}
+        for dataset in self.datasets.values():
+            for name, (low, high) in dataset.ranges.items():
+                least, most = union.get(name, (low, high))
+                union[name] = min(low, least), max(high, most)
+        return union
 
     def calibration(self, scene: Scene, level: str = "0.95") -> Calibration | None:
         """The narrowest at `level` of the datasets whose ranges hold `scene`, else the widest; None where none is."""
-        bands = [(each.ranges, each.calibration) for each in self.datasets.values() if each.calibration is not None]
+        bands = [
+            (dataset.ranges, dataset.calibration)
+            for dataset in self.datasets.values()
+            if dataset.calibration is not None
+        ]
         if holding := [band for ranges, band in bands if not outside(scene, ranges)]:
             return min(holding, key=lambda band: band.front[level])
         return max((band for _, band in bands), key=lambda band: band.front[level], default=None)
@@ -104,8 +108,8 @@ class Card(Record):
     def keeping(self, calibrations: Mapping[str, Calibration | None]) -> "Card":
         """This card with calibrations of its datasets by name."""
         datasets = {
-            name: replace(each, calibration=calibrations.get(name, each.calibration))
-            for name, each in self.datasets.items()
+            name: replace(dataset, calibration=calibrations.get(name, dataset.calibration))
+            for name, dataset in self.datasets.items()
         }
         return replace(self, datasets=datasets)
 
@@ -155,8 +159,8 @@ def warning(weights: Path, scene: Scene) -> str | None:
     card = read(weights)
     if card is None:
         return f"{weights.name} has no card beside it: its training range is unknown"
-    found = outside(scene, card.ranges)
-    return f"{weights.name} is outside of its training range: {'; '.join(found)}" if found else None
+    reasons = outside(scene, card.ranges)
+    return f"{weights.name} is outside of its training range: {'; '.join(reasons)}" if reasons else None
 
 
 def total_updates(provenance: Mapping[str, Any]) -> int:

@@ -118,8 +118,8 @@ def predict(
     path = model_path(model) if isinstance(model, str | Path) else None
     require(level in card.LEVELS, "level", f"one of {', '.join(map(str, card.LEVELS))}", f"{level:g}")
     described, key = None if path is None else card.read(path), f"{level:g}"
-    known = described.calibration(scene, key) if calibration is None and described is not None else calibration
-    if known is None:
+    chosen = described.calibration(scene, key) if calibration is None and described is not None else calibration
+    if chosen is None:
         message = "expected a calibration, by gns.score.calibrated or on the model's card by python -m gns.score --keep"
         raise InputError(message, where="" if path is None else str(card.card_path(path)), key="calibration")
     rollout = simulate(scene, model=model)
@@ -128,7 +128,7 @@ def predict(
         deposit=rollout.positions[-1],
         front=front,
         extent=front - rear,
-        half_width=known.front[key] * (front - rear),
-        profile_error=known.profile[key] * (front - rear),
+        half_width=chosen.front[key] * (front - rear),
+        profile_error=chosen.profile[key] * (front - rear),
         warning="the training range of this network is unknown" if path is None else card.warning(path, scene),
     )

@@ -66,15 +66,17 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
     low = [min(mass.lower[axis] for mass in masses) for axis in range(scene.dimension)]
     high = [max(mass.lower[axis] + mass.size[axis] for mass in masses) for axis in range(scene.dimension)]
     extents = [last - first for first, last in zip(low, high, strict=True)]
-    rooms = [whole - own for whole, own in zip(scene.domain.size, extents, strict=True)]
+    rooms = [whole - extent for whole, extent in zip(scene.domain.size, extents, strict=True)]
     # None of a mass at rest.
     velocities = [(mass.velocity,) if mass.velocity else () for mass in masses]
     cohesions = [
-        each.cohesion_at(depth) for mass, each in zip(masses, sand, strict=True) for depth in (0.0, height(scene, mass))
+        material.cohesion_at(depth)
+        for mass, material in zip(masses, sand, strict=True)
+        for depth in (0.0, height(scene, mass))
     ]
     held = sum(mass.release is not None for mass in masses)
     elevation, roughness, steepness = terrain(scene, GROUND_SPACING * body.length)
-    turbulences = [float(np.min(each.turbulence)) / scene.gravity for each in scene.solids if each.turbulence]
+    turbulences = [float(np.min(solid.turbulence)) / scene.gravity for solid in scene.solids if solid.turbulence]
 
     def lengths(values: Iterable[float], **bounds: Any) -> RangedQuantity:
         return RangedQuantity([value / body.length for value in values], "l", **bounds)
@@ -83,18 +85,21 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
         return RangedQuantity([value / body.speed for value in values], "sqrt(g l)")
 
     return {
-        "friction_deg": RangedQuantity([each.phi_deg for each in sand], "deg", scale=logarithm_of_tangent),
+        "friction_deg": RangedQuantity([material.phi_deg for material in sand], "deg", scale=logarithm_of_tangent),
         "friction_limit_deg": RangedQuantity(
-            [each.friction_limit_deg for each in sand if each.friction_limit_deg is not None], "deg"
+            [material.friction_limit_deg for material in sand if material.friction_limit_deg is not None], "deg"
         ),
-        "cohesion": RangedQuantity([each / body.stress for each in cohesions], "rho g l"),
+        "cohesion": RangedQuantity([cohesion / body.stress for cohesion in cohesions], "rho g l"),
         "tension_cutoff": RangedQuantity(
-            [each.tension_limit / each.cohesion for each in sand if each.cohesion > 0.0], "of the cohesion"
+            [material.tension_limit / material.cohesion for material in sand if material.cohesion > 0.0],
+            "of the cohesion",
         ),
-        "young": RangedQuantity([each.modulus / body.stress for each in sand], "rho g l", above=False),
-        "poisson": RangedQuantity([each.poisson for each in sand]),
-        "dilation_deg": RangedQuantity([each.dilation_deg for each in sand], "deg"),
-        "softening_length": lengths(each.softening_length for each in sand if each.softening_length is not None),
+        "young": RangedQuantity([material.modulus / body.stress for material in sand], "rho g l", above=False),
+        "poisson": RangedQuantity([material.poisson for material in sand]),
+        "dilation_deg": RangedQuantity([material.dilation_deg for material in sand], "deg"),
+        "softening_length": lengths(
+            material.softening_length for material in sand if material.softening_length is not None
+        ),
         "k0": RangedQuantity(stress_ratios(scene)),
         "barriers": RangedQuantity([float(held)] if held else []),
         "volume_correction": RangedQuantity(chosen_correction(scene)),
@@ -103,7 +108,7 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
         ),
         "floor_friction": RangedQuantity([coefficient(scene.floor_friction)]),
         "wall_friction": RangedQuantity([coefficient(scene.wall_friction)]),
-        "baffle_friction": RangedQuantity([coefficient(scene.friction_of(each)) for each in baffles]),
+        "baffle_friction": RangedQuantity([coefficient(scene.friction_of(baffle)) for baffle in baffles]),
         "channel": lengths([scene.channel.width] if scene.channel else ()),
         "ground_friction": RangedQuantity(roughness),
         "ground_turbulence": RangedQuantity(turbulences, "g", above=False, scale=logarithm),
@@ -120,17 +125,17 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
         "drop": lengths([float(heights_above_ground(scene).max())], below=False),
         "room_along": lengths(rooms[:1], above=False),
         "room_across": lengths(rooms[2:], above=False),
-        "speed": speeds(max((math.hypot(*each) for each in some), default=0.0) for some in velocities),
-        "upward_speed": speeds(each[1] for some in velocities for each in some),
+        "speed": speeds(max((math.hypot(*velocity) for velocity in some), default=0.0) for some in velocities),
+        "upward_speed": speeds(velocity[1] for some in velocities for velocity in some),
         "spin": RangedQuantity([float(abs(mass.spin).max()) * body.time for mass in masses], "sqrt(g / l)"),
         "baffles": RangedQuantity([float(len(baffles))]),
-        "baffle_length": lengths(each.size[0] for each in baffles),
-        "baffle_height": lengths(each.size[1] for each in baffles),
-        "baffle_foot": lengths(each.lower[1] for each in baffles),
-        "baffle_width": lengths(each.size[2] for each in baffles if len(each.size) > 2),
+        "baffle_length": lengths(baffle.size[0] for baffle in baffles),
+        "baffle_height": lengths(baffle.size[1] for baffle in baffles),
+        "baffle_foot": lengths(baffle.lower[1] for baffle in baffles),
+        "baffle_width": lengths(baffle.size[2] for baffle in baffles if len(baffle.size) > 2),
         # Along x from the masses, negative beside or beneath one.
         "baffle_distance": lengths(
-            max(each.lower[0] - high[0], low[0] - each.lower[0] - each.size[0]) for each in baffles
+            max(baffle.lower[0] - high[0], low[0] - baffle.lower[0] - baffle.size[0]) for baffle in baffles
         ),
         "duration": RangedQuantity([scene.duration / body.time], "sqrt(l / g)", below=False),
         "spacing": lengths([scene.particle_spacing], below=False),
@@ -171,15 +176,15 @@ def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Ran
 
     Particles may be as far apart as a cell of the model is long: it follows one of each cell.
     """
-    found: dict[str, list[float]] = {}
+    gathered: dict[str, list[float]] = {}
     for scene in scenes:
         for name, quantity in quantities(scene).items():
-            found.setdefault(name, []).extend(quantity.values)
+            gathered.setdefault(name, []).extend(quantity.values)
         body = settings.body_length or Units.of_body(scene).length
-        found["spacing"].append(settings.cell / body)
+        gathered["spacing"].append(settings.cell / body)
     return {
         name: (round(min(values), 9), round(max(values), 9))
-        for name, values in found.items()
+        for name, values in gathered.items()
         if values and (settings.body_length is None or name not in ABSOLUTE)
     }
 
@@ -188,14 +193,14 @@ def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
     """The quantities of `scene` outside of `ranges`: each with its value, the range and by how much it is outside."""
     if scene.gravity <= 0.0:
         return ["gravity 0 (none in the training data)"]
-    found = []
+    outliers = []
     scaled = not any(name in ranges for name in ABSOLUTE)
     for name, quantity in quantities(scene).items():
         values, unit = quantity.values, f" {quantity.unit}" if quantity.unit else ""
         if not values or (scaled and name in ABSOLUTE):
             continue
         if name not in ranges:
-            found.append(f"{name} {values[0]:.3g}{unit} (none in the training data)")
+            outliers.append(f"{name} {values[0]:.3g}{unit} (none in the training data)")
             continue
         low, high = ranges[name]
         least, most = quantity.scale(low), quantity.scale(high)
@@ -207,5 +212,5 @@ def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
         trained = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
         worst = max(values) if above else min(values)
         by = f"{worst - high:.2g} above" if above else f"{low - worst:.2g} below"
-        found.append(f"{name} {worst:.3g}{unit} (trained: {trained}, {by})")
-    return found
+        outliers.append(f"{name} {worst:.3g}{unit} (trained: {trained}, {by})")
+    return outliers

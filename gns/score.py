@@ -89,11 +89,11 @@ def calibrated(scores: Sequence[Score]) -> Calibration:
 
     A wall holds the model's front where it holds the MPM's: such flows would make the bands of all others too narrow.
     """
-    known = [each for each in scores if not each.at_wall] or scores
-    errors = [np.sort([abs(getattr(each, name)) for each in known]) for name in ("front", "profile")]
-    front, profile = ({f"{level:g}": quantile(each, level) for level in LEVELS} for each in errors)
-    means = {name: each for name, each in measures.amounts(known).items() if not math.isnan(each)}
-    return Calibration(front=front, profile=profile, flows=len(known), errors=means)
+    counted = [flow for flow in scores if not flow.at_wall] or scores
+    errors = [np.sort([abs(getattr(flow, name)) for flow in counted]) for name in ("front", "profile")]
+    front, profile = ({f"{level:g}": quantile(ordered, level) for level in LEVELS} for ordered in errors)
+    means = {name: mean for name, mean in measures.amounts(counted).items() if not math.isnan(mean)}
+    return Calibration(front=front, profile=profile, flows=len(counted), errors=means)
 
 
 def quantile(errors: NDArray[np.float64], level: float) -> float:
@@ -145,7 +145,7 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
     described = card.read(path) if keep else None
     if described is not None:
-        for other in (each.name for each in datasets if each.name not in described.datasets):
+        for other in (dataset.name for dataset in datasets if dataset.name not in described.datasets):
             message = f"expected datasets that the model was trained on, {', '.join(described.datasets)}, got {other}"
             raise InputError(message, key="DATASET")
     elif keep:
@@ -161,9 +161,9 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
         for dataset in datasets:
             # Folders of a name are parts of one dataset.
             scores.setdefault(dataset.name, []).extend(scored(dataset, "valid"))
-        found = {name: calibrated(each) for name, each in scores.items()}
-        card.write(path, replace(described, scores=text).keeping(found))
-        print(f"bands by {sum(each.flows for each in found.values())} flows are on {card.card_path(path)}")
+        bands = {name: calibrated(group) for name, group in scores.items()}
+        card.write(path, replace(described, scores=text).keeping(bands))
+        print(f"bands by {sum(band.flows for band in bands.values())} flows are on {card.card_path(path)}")
 
 
 if __name__ == "__main__":

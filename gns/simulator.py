@@ -128,14 +128,14 @@ class Simulator(nn.Module):
     @property
     def features(self) -> dict[str, int]:
         """Features of a particle in their order -> how many columns."""
-        return {name: each.count(self.settings) for name, each in NODES.items()}
+        return {name: feature.count(self.settings) for name, feature in NODES.items()}
 
     def forward(self, state: State, conditions: Conditions) -> State:
         """One step, all of it in the units of the model. Differentiable in the state and in all conditions."""
         settings, moment = self.settings, self.moment(state, conditions)
-        own, shares = self.network(Inputs.of_moment(moment)).split((settings.dimension, len(FORCES)), dim=1)
-        known = (shares.unsqueeze(1) @ moment.forces).squeeze(1)
-        contact = self.acceleration_scale * own + GRAVITY * settings.step**2 * known
+        learned, shares = self.network(Inputs.of_moment(moment)).split((settings.dimension, len(FORCES)), dim=1)
+        force = (shares.unsqueeze(1) @ moment.forces).squeeze(1)
+        contact = self.acceleration_scale * learned + GRAVITY * settings.step**2 * force
 
         def moves(moved: Tensor, limit: float) -> Tensor:
             return torch.ones(()) if self.training else self.moves(moved, limit, moment)
@@ -190,7 +190,7 @@ def on_threads(count: int, compute: Callable[P, Tensor], *args: P.args, **kwargs
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
-        found = compute(*args, **kwargs)
+        result = compute(*args, **kwargs)
     finally:
         torch.set_num_threads(before)
 
@@ -201,9 +201,9 @@ def on_threads(count: int, compute: Callable[P, Tensor], *args: P.args, **kwargs
             # Called where the backward pass ends.
             Variable._execution_engine.queue_callback(partial(torch.set_num_threads, now))
 
-    if found.requires_grad:
-        found.register_hook(begin)  # type: ignore[no-untyped-call]
-    return found
+    if result.requires_grad:
+        result.register_hook(begin)  # type: ignore[no-untyped-call]
+    return result
 
 
 def unroll(
@@ -235,8 +235,8 @@ def unroll(
             state = simulator(state, conditions)
         if step == 0:
             shapes = first.positions.shape, first.displacements.shape
-            found = (state.positions.shape, state.displacements.shape) if isinstance(state, State) else type(state)
-            require(found == shapes, "forward", f"a State of shapes {shapes}", found)
+            returned = (state.positions.shape, state.displacements.shape) if isinstance(state, State) else type(state)
+            require(returned == shapes, "forward", f"a State of shapes {shapes}", returned)
         positions.append(state.positions)
         if not (torch.is_grad_enabled() or before.displacements.any() or state.displacements.any()):
             # A step that leads from a state to the same state is that of all the time to come.
@@ -254,13 +254,13 @@ def step_activation_bytes(simulator: StepModel, state: State, conditions: Condit
     Every storage that autograd saves is counted once, without weights and inputs.
     """
     given = [*simulator.parameters(), *simulator.buffers(), conditions.friction, conditions.cohesion, conditions.volume]
-    known = {each.untyped_storage().data_ptr() for each in given}
+    excluded = {tensor.untyped_storage().data_ptr() for tensor in given}
     # By address, with the storage itself: that of one which is freed could be another's.
     saved: dict[int, UntypedStorage] = {}
 
     def keep(tensor: Tensor) -> Tensor:
         storage = tensor.untyped_storage()
-        if storage.data_ptr() not in known:
+        if storage.data_ptr() not in excluded:
             saved[storage.data_ptr()] = storage
         return tensor
 

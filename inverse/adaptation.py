@@ -94,9 +94,9 @@ def adapt(
     entries = flows.entries(seed=seed)
     jobs = processors() if jobs is None else jobs
     training = dataclasses.replace(TRAINING, minutes=minutes)
-    if (known := read_json(out / PROBLEM)) not in (None, identity(asked)):
+    if (recorded := read_json(out / PROBLEM)) not in (None, identity(asked)):
         expected = f"expected a new folder, or one of {asked.name} on the same cells"
-        raise InputError(f"{expected}, it is of another problem: {', '.join(known['unknowns'])}", where=str(out))
+        raise InputError(f"{expected}, it is of another problem: {', '.join(recorded['unknowns'])}", where=str(out))
     try:
         missing = len(missing_entries(entries, out / DATA))
     except InputError as error:
@@ -178,4 +178,4 @@ def deposits(model: Path | str, problem: Problem) -> list[tuple[Vector, Trajecto
     if read_json(run / PROBLEM) != identity(problem):
         return []
     flows = [Trajectory.load(path) for path in trajectory_files(run / DATA / DEPOSITS)]
-    return [(np.array([each.read(flow.scene) for each in problem.kinds]), flow) for flow in flows]
+    return [(np.array([kind.read(flow.scene) for kind in problem.kinds]), flow) for flow in flows]

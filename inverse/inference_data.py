@@ -35,13 +35,15 @@ def write(result: Result, path: Path) -> None:
     with replacing(path) as part, h5py.File(part, "w", track_order=True) as file:
         for name, samples in (("posterior", chains(points)), ("prior", prior[None])):
             columns = zip(problem.numbers, np.moveaxis(problem.box.at(samples), -1, 0), strict=True)
-            fill(file, name, {each.name: (values, each.kind.unit) for each, values in columns}, CHAINS)
+            fill(file, name, {number.name: (values, number.kind.unit) for number, values in columns}, CHAINS)
         observed = observation.scale * result.target.values
         if len(observed) > MAX_NUMBERS or len(posterior.reduction.mean) != len(observed):
             return
         shown = chains(observation.scale * predictive(posterior, points, rng))
         for name, values, axes in (("posterior_predictive", shown, CHAINS), ("observed_data", observed, ())):
-            parts = {each.name: (values[..., each.numbers], each.observation.unit) for each in observation.parts}
+            parts = {
+                member.name: (values[..., member.numbers], member.observation.unit) for member in observation.parts
+            }
             fill(file, name, parts, axes)
 
 

@@ -77,18 +77,18 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
     """Every answer of the forward model, its errors as noise."""
     began, box, by_mpm = time.perf_counter(), problem.box, isinstance(forward, MpmForward)
     scatter = target.observation.prior_scatter(target.values)
-    found = inverted(forward, problem, target, scatter, rough=1.0 if by_mpm else ROUGH)
+    inference = inverted(forward, problem, target, scatter, rough=1.0 if by_mpm else ROUGH)
     answers = tuple(
-        Answer(parameters=box.at(each.point), interval=box.at(each.interval), weight=each.weight)
-        for each in found.regions
+        Answer(parameters=box.at(region.point), interval=box.at(region.interval), weight=region.weight)
+        for region in inference.regions
     )
-    misfits = [target.observation.misfit(each.numbers, found.target.values) for each in found.runs]
+    misfits = [target.observation.misfit(run.numbers, inference.target.values) for run in inference.runs]
     first = answers[0].parameters
     (predicted,) = forward.observe([first])
     deposit = forward.deposit(first)
     total = time.perf_counter() - began
     flows = len(misfits) + 2 + int(problem.target.twin)
-    loss = {"mpm" if by_mpm else "surrogate": target.observation.misfit(predicted, found.target.values)}
+    loss = {"mpm" if by_mpm else "surrogate": target.observation.misfit(predicted, inference.target.values)}
     return Result(
         problem=problem,
         target=target,
@@ -98,11 +98,11 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
         predicted=predicted,
         deposit=deposit,
         iterations=[
-            {"unknowns": problem.named(box.at(each.point)), "loss": misfit}
-            for each, misfit in zip(found.runs, misfits, strict=True)
+            {"unknowns": problem.named(box.at(run.point)), "loss": misfit}
+            for run, misfit in zip(inference.runs, misfits, strict=True)
         ],
-        posterior=found.posterior,
-        without=left_out(found),
+        posterior=inference.posterior,
+        without=left_out(inference),
         seconds={"per_iteration": total / len(misfits), "mpm": total if by_mpm else 0.0, "total": total},
         record={"loss": loss | {"initial": misfits[0]}} | ({"flows": flows} if by_mpm else {}),
     )

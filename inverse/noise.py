@@ -171,15 +171,15 @@ def fit(
     size, flows = len(residual), scatter.deviations * math.sqrt(share / free)
     if cells is None or bias is None:
         whitened, flows = residual / np.sqrt(total), flows / np.sqrt(total)
-        # |R|_F^2 of R = N + F^T F + diag(own), over total, without the matrix of a whole deposit.
+        # |R|_F^2 of R = N + F^T F + diag(remainder), over total, without the matrix of a whole deposit.
         shown_by_flows = (flows**2).sum(axis=0)
-        own = np.maximum(variance / total - shown_by_flows, 0.0)
+        remainder = np.maximum(variance / total - shown_by_flows, 0.0)
         if errors.dependent is None:
-            own += independent / total
-        square = float(np.sum((flows @ flows.T) ** 2) + 2.0 * own @ shown_by_flows + own @ own)
+            remainder += independent / total
+        square = float(np.sum((flows @ flows.T) ** 2) + 2.0 * remainder @ shown_by_flows + remainder @ remainder)
         if errors.dependent is not None:
             noise = errors.over(np.sqrt(total)).matrix
-            square += float(np.sum(noise**2) + 2.0 * np.sum((flows @ noise) * flows) + 2.0 * own @ np.diag(noise))
+            square += float(np.sum(noise**2) + 2.0 * np.sum((flows @ noise) * flows) + 2.0 * remainder @ np.diag(noise))
     else:
         lower = np.linalg.cholesky(np.diag(total + FLOOR * (total.max() + float(np.diag(bias).max()))) + bias)
         rest = np.maximum(variance - (flows**2).sum(axis=0), 0.0)

@@ -66,7 +66,7 @@ def write(result: Result, folder: Path) -> list[str]:
     figures = {"deposit.png": plot(result)}
     if len(result.problem.numbers) > 2:
         figures["unknowns.png"] = unknowns(result)
-    figures |= {f"{each.stem}.png": field(each) for each in result.fields}
+    figures |= {f"{field_posterior.stem}.png": field(field_posterior) for field_posterior in result.fields}
     if fits := residuals(result):
         figures["fit.png"] = fit(fits)
     if result.posterior is not None:
@@ -199,12 +199,12 @@ def unknowns(result: Result) -> Figure:
     size = (WIDTH, 0.4 + 3.2 * len(units))
     figure, grid = plt.subplots(len(units), 1, figsize=size, layout="constrained", squeeze=False)
     for unit, axis in zip(units, grid[:, 0], strict=True):
-        indices = [index for index, each in enumerate(result.problem.numbers) if each.kind.unit == unit]
+        indices = [index for index, parameter in enumerate(result.problem.numbers) if parameter.kind.unit == unit]
         every, x = [result.problem.numbers[index] for index in indices], np.arange(len(indices))
         if truth:
             # Steps as wide as their columns: the profile of the truth over the layers.
-            axis.hlines([truth[each.name] for each in every], x - 0.4, x + 0.4, color="black", label="truth")
-        starts = [each.start for each in every]
+            axis.hlines([truth[parameter.name] for parameter in every], x - 0.4, x + 0.4, color="black", label="truth")
+        starts = [parameter.start for parameter in every]
         axis.plot(x - 0.2, starts, "_", color="#888888", markersize=9, markeredgewidth=1.5, label="start")
         for number, answer in enumerate(result.answers):
             label = "" if number else "found, with its interval (95 %)"
@@ -212,7 +212,7 @@ def unknowns(result: Result) -> Figure:
             value, ends = answer.parameters[indices], answer.interval[:, indices]
             wide = np.maximum([value - ends[0], ends[1] - value], 0.0)
             axis.errorbar(x + 0.1 + 0.15 * number, value, yerr=wide, **style)
-        axis.set_xticks(x, [each.name.replace(".", "\n") for each in every])
+        axis.set_xticks(x, [parameter.name.replace(".", "\n") for parameter in every])
         axis.set(xlim=(-0.6, len(indices) - 0.4), ylabel=f"[{unit}]")
         axis.grid(axis="y", color="#e5e5e5")
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
@@ -243,20 +243,24 @@ def posterior(result: Result) -> Figure:
 
 def marginal(axis: Axes, result: Result, index: int) -> None:
     assert result.posterior is not None, "an optimiser has none"
-    each, truth, weights = result.problem.numbers[index], result.target.truth or {}, result.posterior.samples.weights
-    style: dict[str, Any] = {"bins": BINS, "range": each.bounds, "density": True, "color": COLOURS["MPM"]}
+    parameter, truth, weights = (
+        result.problem.numbers[index],
+        result.target.truth or {},
+        result.posterior.samples.weights,
+    )
+    style: dict[str, Any] = {"bins": BINS, "range": parameter.bounds, "density": True, "color": COLOURS["MPM"]}
     axis.hist(result.samples[:, index], weights=weights, label="posterior", **style)
     line: dict[str, Any] = {"color": "#888888", "linestyle": ":", "linewidth": 1.0, "label": "prior"}
-    if each.prior is None:
-        axis.axhline(1.0 / each.range, **line)
+    if parameter.prior is None:
+        axis.axhline(1.0 / parameter.range, **line)
     else:
-        values = np.linspace(*each.bounds, 201)
-        axis.plot(values, np.exp(each.marginal.log_density(values)) / each.range, **line)
+        values = np.linspace(*parameter.bounds, 201)
+        axis.plot(values, np.exp(parameter.marginal.log_density(values)) / parameter.range, **line)
     for number, answer in enumerate(result.answers):
         axis.axvline(answer.parameters[index], color=ANSWER, linewidth=0.8, label="" if number else "answer")
-    if each.name in truth:
-        axis.axvline(truth[each.name], color="black", linestyle="--", linewidth=1.0, label="truth")
-    axis.set(xlim=each.bounds, yticks=[], xlabel=f"{each.name} [{each.kind.unit}]")
+    if parameter.name in truth:
+        axis.axvline(truth[parameter.name], color="black", linestyle="--", linewidth=1.0, label="truth")
+    axis.set(xlim=parameter.bounds, yticks=[], xlabel=f"{parameter.name} [{parameter.kind.unit}]")
 
 
 def pair(axis: Axes, result: Result, first: int, second: int) -> None:

@@ -101,30 +101,30 @@ class Problem(ProblemKeys):
 
     def __post_init__(self) -> None:
         require(len(self.parameters) > 0, "unknowns", "at least one unknown", "none")
-        by_key = {f"unknowns[{index}]": each for index, each in enumerate(self.parameters)}
-        for key, each in by_key.items():
-            started = each.is_field or each.prior is not None or each.initial is not None
+        by_key = {f"unknowns[{index}]": parameter for index, parameter in enumerate(self.parameters)}
+        for key, parameter in by_key.items():
+            started = parameter.is_field or parameter.prior is not None or parameter.initial is not None
             require(started, f"{key}.initial", "a value", "none, the key is missing")
         check_parameters(self.scene, by_key, "unknowns")
         # It refuses correlations that are none.
         _ = self.prior
         self._check_observations()
-        for key, each in by_key.items():
+        for key, parameter in by_key.items():
             # Without files: what is in these has times of its own.
-            timeless = each.name == "time_offset" and not any(
+            timeless = parameter.name == "time_offset" and not any(
                 "csv" in settings.given or settings.operator(self.scene).over_time for settings in self.observations
             )
             require(not timeless, f"{key}.name", "an observation over time for a clock", "none")
         self._check_target()
         budget, fewest = self.loop.budget(len(self.parameters)), len(self.parameters) + FEWEST_RUNS
         require(budget >= fewest, "loop.mpm_runs", f"an integer of at least {fewest}", budget)
-        if any(each.is_field for each in self.parameters):
+        if any(parameter.is_field for parameter in self.parameters):
             self._check_fields()
 
     @property
     def numbers(self) -> list[Parameter]:
         """The parameters that are numbers."""
-        return [each for each in self.parameters if not each.is_field]
+        return [parameter for parameter in self.parameters if not parameter.is_field]
 
     @cached_property
     def fields(self) -> list[UnknownField]:
@@ -138,34 +138,34 @@ class Problem(ProblemKeys):
 
     @property
     def names(self) -> list[str]:
-        return [each.name for each in self.numbers]
+        return [number.name for number in self.numbers]
 
     @property
     def kinds(self) -> list[Kind]:
-        return [each.kind for each in self.numbers]
+        return [number.kind for number in self.numbers]
 
     @property
     def box(self) -> Box:
         """The prior bounds of the numbers."""
-        return Box(*np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T)
+        return Box(*np.array([number.bounds for number in self.numbers]).reshape(-1, 2).T)
 
     @cached_property
     def prior(self) -> JointPrior | None:
         """The stated prior of the numbers; None where it is uniform between the bounds. Raises InputError."""
-        stated = [each for each in self.numbers if each.prior is not None and each.prior.kind != "uniform"]
+        stated = [number for number in self.numbers if number.prior is not None and number.prior.kind != "uniform"]
         if not stated and not self.correlations:
             return None
-        return JointPrior({each.name: each.marginal for each in self.numbers}, self.correlations)
+        return JointPrior({number.name: number.marginal for number in self.numbers}, self.correlations)
 
     @property
     def prior_widths(self) -> Vector:
         """Of each number the width of a uniform prior that is known as well as its own, shape [U]."""
-        return self.box.range if self.prior is None else np.array([each.width for each in self.prior.marginals])
+        return self.box.range if self.prior is None else np.array([marginal.width for marginal in self.prior.marginals])
 
     @property
     def initial(self) -> Vector:
         """Where the search starts, shape [U]."""
-        return np.array([each.start for each in self.numbers])
+        return np.array([number.start for number in self.numbers])
 
     def scene_at(self, values: Vector, seed: int | None = None, fields: Sequence[Floats] = ()) -> Scene:
         """The scene at numbers `values` [U], with another jitter `seed` if so asked. Raises InputError.
@@ -173,8 +173,10 @@ class Problem(ProblemKeys):
         fields: values [K] of each unknown field; the medians of their priors where absent.
         """
         scene = with_kinds(self.scene, self.kinds, values)
-        for unknown, each in zip(self.fields, fields or [each.median for each in self.fields], strict=True):
-            scene = unknown.put(scene, each)
+        for unknown, field_values in zip(
+            self.fields, fields or [unknown.median for unknown in self.fields], strict=True
+        ):
+            scene = unknown.put(scene, field_values)
         return scene if seed is None else replace(scene, seed=seed)
 
     def clocked(self, run: Trajectory, values: Vector) -> Trajectory:
@@ -198,20 +200,20 @@ class Problem(ProblemKeys):
     @cached_property
     def operators(self) -> list[Observation]:
         """The operator of each observation. Raises InputError, which names key or table."""
-        known = [each.observation for each in self.measured] if self.target.measured else None
-        found = [each.operator(self.scene) for each in self.observations] if known is None else known
-        for index, each in enumerate(found if any(mass.kind == INFLOW for mass in self.scene.masses) else ()):
+        measured = [target.observation for target in self.measured] if self.target.measured else None
+        observed = [settings.operator(self.scene) for settings in self.observations] if measured is None else measured
+        for index, operator in enumerate(observed if any(mass.kind == INFLOW for mass in self.scene.masses) else ()):
             # Positions over time are also those of particles that have not entered.
-            ends = not (each.over_time and (each.of_positions or each.dense))
-            require(ends, f"observations[{index}]", "the deposit or forces, where material flows in", each.kind)
-        return found
+            ends = not (operator.over_time and (operator.of_positions or operator.dense))
+            require(ends, f"observations[{index}]", "the deposit or forces, where material flows in", operator.kind)
+        return observed
 
     @property
     def twin_scene(self) -> Scene:
         """The twin's scene: the truth, a jitter, maybe other cells. Raises InputError for cells that do not fit."""
         truth, cell = self.target.truth, self.target.cell
         scene = with_parameters(self.scene, list(truth), list(truth.values()))
-        values = np.array([each.kind.read(scene) for each in self.numbers])
+        values = np.array([number.kind.read(scene) for number in self.numbers])
         # Its fields are the scene's own.
         twin = replace(with_kinds(self.scene, self.kinds, values), seed=self.target.seed)
         return twin if cell is None else twin.with_cell(cell)
@@ -230,7 +232,7 @@ class Problem(ProblemKeys):
     @property
     def released(self) -> float | None:
         """Volume of the masses over the width [m^2], in 2D their area; None where that is itself a parameter."""
-        fields = any(each.is_field and each.quantity == THICKNESS for each in self.parameters)
+        fields = any(parameter.is_field and parameter.quantity == THICKNESS for parameter in self.parameters)
         if fields or any(kind.changes_volume for kind in self.kinds):
             return None
         return released_volume(self.scene) / math.prod(self.scene.domain.size[2:])
@@ -265,7 +267,7 @@ class Problem(ProblemKeys):
         """Raise InputError for a twin that cannot be made."""
         with keyed("target"):
             self.target.check(self.scene)
-        numbers, truth = {each.name: each for each in self.numbers}, self.target.truth
+        numbers, truth = {number.name: number for number in self.numbers}, self.target.truth
         for name in truth:
             require(name in numbers, f"target.truth.{name}", f"one of the unknowns {', '.join(numbers)}", name)
         if truth:
@@ -273,7 +275,7 @@ class Problem(ProblemKeys):
 
     def _check_fields(self) -> None:
         """Raise InputError for fields that the adjoint cannot find, or a twin without their truth."""
-        indices = [index for index, each in enumerate(self.parameters) if each.is_field]
+        indices = [index for index, parameter in enumerate(self.parameters) if parameter.is_field]
         for index, unknown in zip(indices, self.fields, strict=True):
             settings = unknown.settings
             with keyed(f"unknowns[{index}]"):
@@ -290,7 +292,7 @@ class Problem(ProblemKeys):
             )
             require(parameter.prior is None, f"unknowns[{index}].prior", "none beside a field", "one")
         require(not self.correlations, "correlations", "none beside a field", "some")
-        released = any(each.settings.quantity == THICKNESS for each in self.fields)
+        released = any(unknown.settings.quantity == THICKNESS for unknown in self.fields)
         for index, observation in enumerate(self.observations):
             operator = observation.operator_type
             weighed = not released or operator.dense
@@ -317,14 +319,14 @@ def read_problem(name: str) -> Problem:
         keys = vars(file) | {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
         if scene.domain.origin is None:
             return likely(Problem(parameters=keys.pop("unknowns"), **keys))
-        keys["observations"] = tuple(each.in_box(scene.domain.corner) for each in file.observations)
+        keys["observations"] = tuple(settings.in_box(scene.domain.corner) for settings in file.observations)
         try:
             return likely(Problem(parameters=keys.pop("unknowns"), **keys))
         except InputError as error:
             number, _, key = error.key.removeprefix("observations[").partition("]")
             if number == error.key or key[1:] not in ("", *file.observations[int(number)].places):
                 raise
-            place = ", ".join(f"{each:.10g}" for each in scene.domain.origin)
+            place = ", ".join(f"{coordinate:.10g}" for coordinate in scene.domain.origin)
             message = f"{error.message}; lengths count from the corner of the box here, {place} on the map"
             raise InputError(message, key=error.key) from None
 

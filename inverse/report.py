@@ -27,9 +27,9 @@ SUGGESTED = 3
 
 def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
     """The report that lies in `folder`; pictures: names of the files beside it."""
-    parts = [f"# {result.problem.name}: {result.verdict}", "\n".join(f"- {each}" for each in conclusion(result))]
+    parts = [f"# {result.problem.name}: {result.verdict}", "\n".join(f"- {line}" for line in conclusion(result))]
     command = f"`{result.command} {result.problem.asked or result.problem.name} --out {folder}`"
-    if any(each.file for each in result.mpm_runs):
+    if any(run.file for run in result.mpm_runs):
         command += f"; in a browser: `python -m validation.view {folder}`"
     parts += [command, question(result)]
 
@@ -43,7 +43,7 @@ def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
         parts += [f"## {field.name}", field_table(field), shown(f"{field.stem}.png", field.name)]
     parts += ["## Comparison with the target", comparison(result), shown("deposit.png", "deposits")]
     if fits := residuals(result):
-        listed = markdown_table([row for each in fits for row in each.rows])
+        listed = markdown_table([row for fit in fits for row in fit.rows])
         parts += [
             "## The fit, number by number",
             outlying(fits),
@@ -66,9 +66,9 @@ def conclusion(result: Result) -> list[str]:
     """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
     runs = f"{result.run_count} MPM runs, " if result.forward == "MPM" else ""
     sentences = [first_found(result), verdict(result), numbers(result), angles(result)]
-    sentences += [f"`{each.name}`: {identified(each)}" for each in result.fields]
-    sentences += [equifinality(result), quality(result), *(f"At the answer: {each}." for each in result.remarks)]
-    return [each for each in (*sentences, f"Cost: {runs}{result.seconds['total']:.1f} s in all.") if each]
+    sentences += [f"`{field.name}`: {identified(field)}" for field in result.fields]
+    sentences += [equifinality(result), quality(result), *(f"At the answer: {remark}." for remark in result.remarks)]
+    return [line for line in (*sentences, f"Cost: {runs}{result.seconds['total']:.1f} s in all.") if line]
 
 
 def first_found(result: Result) -> str:
@@ -141,23 +141,23 @@ def angles(result: Result) -> str:
     if len(result.problem.numbers) > NAMED:
         return ""
     scene, parts = result.scene, []
-    for each in result.problem.numbers:
-        if each.name.rsplit(".", 1)[-1] == "friction_deg":
-            material = scene.material if each.mass is None else scene.material_of(scene.masses[each.mass])
+    for number in result.problem.numbers:
+        if number.name.rsplit(".", 1)[-1] == "friction_deg":
+            material = scene.material if number.mass is None else scene.material_of(scene.masses[number.mass])
             both = f"φ = {material.phi_deg:.2f} deg (triaxial), {material.slope_deg:.2f} deg on a slope"
-            parts.append(f"`{each.name}` means {both}")
+            parts.append(f"`{number.name}` means {both}")
     return sentence(parts)
 
 
-def found(result: Result, values: Iterable[float], intervals: Iterable[Sequence[float]]) -> dict[str, str]:
+def with_intervals(result: Result, values: Iterable[float], intervals: Iterable[Sequence[float]]) -> dict[str, str]:
     """The numbers with their intervals, by name."""
     both = zip(result.problem.numbers, values, intervals, strict=True)
-    return {f"`{each.name}`": f"{each.kind.text(value)} ({within(each, ends)})" for each, value, ends in both}
+    return {f"`{number.name}`": f"{number.kind.text(value)} ({within(number, ends)})" for number, value, ends in both}
 
 
 def named(result: Result, values: Iterable[float], intervals: Iterable[Sequence[float]]) -> str:
     """The first of them."""
-    return ", ".join([f"{name} = {text}" for name, text in found(result, values, intervals).items()][:NAMED])
+    return ", ".join([f"{name} = {text}" for name, text in with_intervals(result, values, intervals).items()][:NAMED])
 
 
 def within(number: Parameter, ends: Sequence[float]) -> str:
@@ -170,7 +170,7 @@ def equifinality(result: Result) -> str:
         return ""
     parts = [advice] if (advice := finer(result)) else []
     if names := unidentified(result.problem, result.answers[0]):
-        constrained = [mix(each) for each in result.combinations if each.identifiable]
+        constrained = [mix(combination) for combination in result.combinations if combination.identifiable]
         listed = ", ".join(f"`{name}`" for name in names)
         parts.append(f"Not identifiable: {listed}; constrained: {'; '.join(constrained[:SUGGESTED]) or 'nothing'}")
     if result.further:
@@ -184,7 +184,7 @@ def quality(result: Result) -> str:
     parts, truth = [], result.target.truth
     if truth:
         every, unknowns = result.problem.numbers, result.unknowns
-        worst = max(every, key=lambda each: abs(unknowns[each.name] - truth[each.name]) / each.range)
+        worst = max(every, key=lambda number: abs(unknowns[number.name] - truth[number.name]) / number.range)
         error = worst.kind.text(unknowns[worst.name] - truth[worst.name])
         which = "" if len(every) == 1 else f" (`{worst.name}`)"
         inside = f"{len(result.inside)} of {len(truth)} within the interval"
@@ -219,36 +219,36 @@ def question(result: Result) -> str:
         zones = f"in {nodes} zones, prior {prior}, independent"
         where = f"on {nodes} nodes, prior {prior}, correlation length {settings.length} m"
         fields.append(f"Unknown: `{field.name}` {where if settings.zones is None else zones}.")
-    counted = Counter(each.name or each.kind for each in result.problem.observations)
+    counted = Counter(observation.name or observation.kind for observation in result.problem.observations)
     what = ", ".join(name if count == 1 else f"{name} ({count})" for name, count in counted.items())
     if len(result.problem.observations) == 1:
         what = result.target.observation.label
     observed = " ".join([*fields, f"Observed: {what}."])
     truth, intervals, rows = result.target.truth, result.answers[0].interval.T, []
-    for index, each in enumerate(result.problem.numbers):
-        text, value, (low, high) = each.kind.text, float(result.answer[index]), each.bounds
-        row = {"unknown": f"`{each.name}`", "between": f"{low:g}, {high:g}"}
+    for index, number in enumerate(result.problem.numbers):
+        text, value, (low, high) = number.kind.text, float(result.answer[index]), number.bounds
+        row = {"unknown": f"`{number.name}`", "between": f"{low:g}, {high:g}"}
         if result.problem.prior is not None:
-            row["prior"] = "uniform" if each.prior is None else each.prior.text
-        row["start"] = text(each.start)
+            row["prior"] = "uniform" if number.prior is None else number.prior.text
+        row["start"] = text(number.start)
         row["found"] = f"**{text(value)}**"
-        row["95 %"] = within(each, intervals[index])
+        row["95 %"] = within(number, intervals[index])
         if truth:
-            row |= {"truth": text(truth[each.name]), "error": text(value - truth[each.name])}
-            row["truth inside"] = "yes" if each.name in result.inside else "**no**"
+            row |= {"truth": text(truth[number.name]), "error": text(value - truth[number.name])}
+            row["truth inside"] = "yes" if number.name in result.inside else "**no**"
         rows.append(row)
     if (origin := result.problem.scene.domain.origin) is not None:
-        place = ", ".join(f"{each:.10g}" for each in origin)
+        place = ", ".join(f"{coordinate:.10g}" for coordinate in origin)
         observed += f" Lengths below count from the lower corner of the box, at {place} m on the map."
     return observed + (f"\n\n{markdown_table(rows)}" if rows else "")
 
 
 def every_answer(result: Result) -> str:
     rows = []
-    for each in result.answers:
-        row = found(result, each.parameters.tolist(), each.interval.T.tolist())
-        row["share of the posterior"] = f"{100.0 * each.weight:.0f} %"
-        row["the MPM there"] = "not asked" if each.fit is None else distance(result, each)
+    for answer in result.answers:
+        row = with_intervals(result, answer.parameters.tolist(), answer.interval.T.tolist())
+        row["share of the posterior"] = f"{100.0 * answer.weight:.0f} %"
+        row["the MPM there"] = "not asked" if answer.fit is None else distance(result, answer)
         rows.append(row)
     return markdown_table(rows)
 
@@ -257,13 +257,13 @@ def comparison(result: Result) -> str:
     """Each observation as it was measured and at the answer."""
     target, rows, runs = result.target, [], len(result.answers[0].checks)
     numbers = (target.values, result.predicted, target.deviation)
-    measured, shown, deviation = (target.observation.scale * each for each in numbers)
+    measured, shown, deviation = (target.observation.scale * values for values in numbers)
     which = f"{result.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
     for part in target.observation.parts:
-        own, text, root = part.numbers, part.observation.text, part.observation.root_text
-        row = {"observation": part.name, "target": text(measured[own]), which: text(shown[own])}
-        row["noise"] = root(rms(deviation[own]))
-        off = rms(shown[own] - measured[own]) if len(shown) == len(measured) else np.nan
+        span, text, root = part.numbers, part.observation.text, part.observation.root_text
+        row = {"observation": part.name, "target": text(measured[span]), which: text(shown[span])}
+        row["noise"] = root(rms(deviation[span]))
+        off = rms(shown[span] - measured[span]) if len(shown) == len(measured) else np.nan
         row["residual (root mean square)"] = root(off)
         row |= {name.replace("_", " "): f"{score:.3f}" for name, score in result.scores.get(part.name, {}).items()}
         rows.append(row)
@@ -276,8 +276,8 @@ def data_that_matter(result: Result) -> str:
     for name, widths in result.without.items():
         row = {"left out": "nothing" if name == ALL_DATA else name}
         for number in result.problem.numbers[:NAMED]:
-            own, share = widths[number.name], widths[number.name] / max(whole[number.name], 1e-300)
-            row[f"± `{number.name}` (95 %)"] = f"{number.kind.text(own)} ({share:.2g} times)"
+            width, share = widths[number.name], widths[number.name] / max(whole[number.name], 1e-300)
+            row[f"± `{number.name}` (95 %)"] = f"{number.kind.text(width)} ({share:.2g} times)"
         rows.append(row)
     said = "Half-widths without each observation, from the runs that there are, by an emulator of the whole box."
     return f"{said}\n\n{markdown_table(rows)}"
@@ -329,7 +329,11 @@ def uncertainty(result: Result) -> list[str]:
         )
     if len(result.combinations) > 1:
         words = {True: "**Identifiable**", False: "**Not identifiable**"}
-        parts.append("\n".join(f"- {words[each.identifiable]}: {mix(each, ',')}." for each in result.combinations))
+        parts.append(
+            "\n".join(
+                f"- {words[combination.identifiable]}: {mix(combination, ',')}." for combination in result.combinations
+            )
+        )
     return parts
 
 
@@ -344,7 +348,7 @@ def finer(result: Result) -> str:
     share = fit.cells / fit.noise
     enough = target_cell + (cell - target_cell) / share
     times = (cell / enough) ** (result.problem.scene.dimension + 1)
-    seconds = float(np.mean([each.seconds for each in result.answers[0].checks]))
+    seconds = float(np.mean([check.seconds for check in result.answers[0].checks]))
     price = f", {times * seconds:.2g} s instead of {seconds:.2g} s a run" if seconds > 0.0 else ""
     return (
         f"finer cells first: the error of the cells is {share:.2g} times the noise, as large as it on cells of "
@@ -379,7 +383,7 @@ def search_table(result: Result) -> str:
 
 
 def cost(result: Result) -> str:
-    every = [each.purpose for each in result.mpm_runs]
+    every = [run.purpose for run in result.mpm_runs]
     runs = {"MPM runs": result.run_count} if every else {}
     runs |= {f"of them, {purpose}": every.count(purpose) for purpose in Purpose if purpose in every}
     runs |= {"of them, the twin's own flow": 1} if result.problem.target.twin and every else {}
@@ -391,5 +395,5 @@ def cost(result: Result) -> str:
 
 def summary(result: Result) -> str:
     """The outcome for the terminal: the conclusion of the report."""
-    lines = "".join(f"\n  {each}" for each in conclusion(result)).replace("**", "").replace("`", "")
+    lines = "".join(f"\n  {line}" for line in conclusion(result)).replace("**", "").replace("`", "")
     return f"{result.problem.name}: {result.verdict}{lines}"

@@ -78,13 +78,13 @@ def residuals(result: Result) -> list[Residuals]:
     posterior, target = result.posterior, result.target
     if posterior is None or len(posterior.reduction.mean) != len(target.values):
         return []
-    if any(each.observation.every_particle for each in target.observation.parts):
+    if any(part.observation.every_particle for part in target.observation.parts):
         return []
     rng, samples = np.random.default_rng(result.problem.optimiser.seed), posterior.samples
     points = samples.points[systematic(samples.weights, len(samples.points), rng)]
     scale = np.broadcast_to(target.observation.scale, target.values.shape)
     lower, median, upper = scale * np.quantile(predictive(posterior, points, rng), (0.025, 0.5, 0.975), axis=0)
-    observed, noise, counted = (scale * each for each in (target.values, target.deviation, posterior.deviation))
+    observed, noise, counted = (scale * values for values in (target.values, target.deviation, posterior.deviation))
     unmeasured = np.maximum(((upper - lower) / (2.0 * NORMAL)) ** 2 - counted**2, 0.0)
     off = (observed - median) / np.maximum(np.sqrt(unmeasured + noise**2), 1e-300)
     return [
@@ -103,6 +103,6 @@ def residuals(result: Result) -> list[Residuals]:
 
 def outlying(fits: Sequence[Residuals]) -> str:
     """The numbers that the posterior does not predict."""
-    named = [name for each in fits for name in each.outliers]
+    named = [name for fit in fits for name in fit.outliers]
     which = f"off by more than {OUTLIER:g} standard deviations of noise and prediction together"
     return f"Outliers, {which}: {'; '.join(named)}." if named else f"No number is {which}."

@@ -71,7 +71,10 @@ class Result:
     @property
     def unknowns(self) -> dict[str, float]:
         """The median of the first answer's part of the posterior by name; of a field its mean over the body."""
-        return self.problem.named(self.answer) | {each.name: each.average(each.arrays["mean"]) for each in self.fields}
+        return self.problem.named(self.answer) | {
+            field_posterior.name: field_posterior.average(field_posterior.arrays["mean"])
+            for field_posterior in self.fields
+        }
 
     @property
     def certainty(self) -> dict[str, float]:
@@ -81,7 +84,10 @@ class Result:
     @property
     def interval(self) -> dict[str, list[float]]:
         """Between which values each number lies at 95 %, within its bounds; of a field the mean of both."""
-        of_fields = {each.name: [each.average(each.arrays[end]) for end in ("lower", "upper")] for each in self.fields}
+        of_fields = {
+            field_posterior.name: [field_posterior.average(field_posterior.arrays[end]) for end in ("lower", "upper")]
+            for field_posterior in self.fields
+        }
         return self.problem.named(self.answers[0].interval.T) | of_fields
 
     @property
@@ -106,7 +112,7 @@ class Result:
         values = self.problem.named(self.answer)
         errors = {name: 100.0 * abs(values[name] - true) / abs(true) for name, true in truth.items() if true != 0.0}
         if self.answers[0].checks and math.isfinite(self.target.front):
-            off = [self.target.front_error(each.trajectory) for each in self.answers[0].checks]
+            off = [self.target.front_error(check.trajectory) for check in self.answers[0].checks]
             errors["front"] = 100.0 * abs(float(np.mean(off)))
         return errors
 
@@ -116,20 +122,22 @@ class Result:
         checks, count = self.answers[0].checks, len(self.deposit)
         volumes = checks[0].trajectory.volumes if checks else particle_volumes(self.problem.scene, count)
         parts = self.target.observation.parts
-        found = {each.name: each.observation.scores(self.deposit, volumes) for each in parts}
-        return {name: scores for name, scores in found.items() if scores}
+        by_part = {part.name: part.observation.scores(self.deposit, volumes) for part in parts}
+        return {name: scores for name, scores in by_part.items() if scores}
 
     @property
     def remarks(self) -> list[str]:
         """What must be known of the flow at the first answer (`mpm.output.outcome.caveats`), and whether it drains."""
         checks = self.answers[0].checks
-        known = checks[0].trajectory.summary if checks else {}
-        return [*known.get("remarks", []), *filter(None, [known.get("drainage")])]
+        summary = checks[0].trajectory.summary if checks else {}
+        return [*summary.get("remarks", []), *filter(None, [summary.get("drainage")])]
 
     @property
     def scene(self) -> Scene:
         """The scene with what was found."""
-        return self.problem.scene_at(self.answer, fields=[each.arrays["mean"] for each in self.fields])
+        return self.problem.scene_at(
+            self.answer, fields=[field_posterior.arrays["mean"] for field_posterior in self.fields]
+        )
 
     @property
     def samples(self) -> NDArray[np.float64]:
@@ -164,7 +172,7 @@ class Result:
         if len(whole.parts) > 1:
             parts = [(part.name, part.observation.unit, part.numbers) for part in whole.parts]
             observation["parts"] = [
-                {"name": name, "unit": unit, "first": own.start, "end": own.stop} for name, unit, own in parts
+                {"name": name, "unit": unit, "first": span.start, "end": span.stop} for name, unit, span in parts
             ]
             observation["deviation"] = np.asarray(whole.scale).tolist()
         if math.isfinite(target.front):
@@ -176,17 +184,17 @@ class Result:
         same = len(self.predicted) == len(target.values)
         answers = [
             {
-                "unknowns": problem.named(each.parameters),
-                "interval": problem.named(each.interval.T),
-                "half_widths": problem.named(each.half_widths),
-                "weight": each.weight,
-                "misfit": target.misfit(each.observation) if each.checks else None,
+                "unknowns": problem.named(answer.parameters),
+                "interval": problem.named(answer.interval.T),
+                "half_widths": problem.named(answer.half_widths),
+                "weight": answer.weight,
+                "misfit": target.misfit(answer.observation) if answer.checks else None,
             }
-            for each in self.answers
+            for answer in self.answers
         ]
         keys: dict[str, Any] = {
             "problem": problem.name,
-            "solids": [[each.name, each.kind] for each in problem.scene.solids],
+            "solids": [[solid.name, solid.kind] for solid in problem.scene.solids],
             "verdict": self.verdict.value,
             "unknowns": self.unknowns,
             "interval": self.interval,
@@ -196,7 +204,7 @@ class Result:
             "error_pct": self.error_pct,
             "observation": observation,
             "loss": {key: target.misfit(self.predicted) if same else self.iterations[-1].get("loss")},
-            "mpm_runs": [each.as_json(problem, target) for each in self.mpm_runs],
+            "mpm_runs": [run.as_json(problem, target) for run in self.mpm_runs],
             "run_count": self.run_count,
             "iterations": list(self.iterations),
             "surrogate": self.surrogate,
@@ -208,15 +216,19 @@ class Result:
             names = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells", "outliers", "probability")
             keys |= {"check": {name: getattr(fit, name) for name in names}, "discrepancy": fit.applied}
         if self.posterior is not None:
-            samples, known = self.posterior.samples, ("weights", "half_width", "identifiable")
-            keys["combinations"] = [{name: getattr(each, name) for name in known} for each in self.combinations]
+            samples, columns = self.posterior.samples, ("weights", "half_width", "identifiable")
+            keys["combinations"] = [
+                {name: getattr(combination, name) for name in columns} for combination in self.combinations
+            ]
             sampling = {"difference": samples.difference, "acceptance": samples.acceptance}
             keys["sampling"] = sampling | {"log_evidence": samples.evidence}
         if problem.prior is not None:
-            keys["prior"] = {each.name: changed(each.prior) for each in problem.numbers if each.prior is not None}
-            keys["correlations"] = [changed(each) for each in problem.correlations]
+            keys["prior"] = {
+                number.name: changed(number.prior) for number in problem.numbers if number.prior is not None
+            }
+            keys["correlations"] = [changed(correlation) for correlation in problem.correlations]
         if self.without:
             keys["without"] = self.without
         if self.fields:
-            keys["fields"] = [each.as_json() for each in self.fields]
+            keys["fields"] = [field_posterior.as_json() for field_posterior in self.fields]
         return keys | self.record

@@ -26,7 +26,7 @@ def save(result: Result, folder: Path | str) -> None:
             np.savez_compressed(part, names=names, samples=result.samples, weights=weights)
         inference_data.write(result, folder / "posterior.nc")
     if result.fields:
-        arrays = {f"{k}_{key}": values for k, each in enumerate(result.fields) for key, values in each.saved.items()}
+        arrays = {f"{k}_{key}": values for k, field in enumerate(result.fields) for key, values in field.saved.items()}
         write_npz(folder / "field.npz", arrays)
         write_scene(result.scene, folder / "scene.toml")
     write_json(folder / "result.json", result.as_json())
@@ -35,11 +35,11 @@ def save(result: Result, folder: Path | str) -> None:
 
 def read_samples(path: Path) -> tuple[list[str], Matrix]:
     """Names and samples [S, U] of a `posterior.npz`, drawn again to equal weights. Raises InputError."""
-    found = read_arrays(path, "names", "samples", "weights", what="the posterior of validation.loop")
+    arrays = read_arrays(path, "names", "samples", "weights", what="the posterior of validation.loop")
     with reading(path, "the posterior of validation.loop"):
-        samples, weights = found["samples"].astype(float), found["weights"].astype(float)
+        samples, weights = arrays["samples"].astype(float), arrays["weights"].astype(float)
         order = systematic(weights / weights.sum(), len(weights), np.random.default_rng(0))
-        names = [str(name) for name in found["names"]]
+        names = [str(name) for name in arrays["names"]]
         if samples.shape != (len(weights), len(names)):
             raise ValueError
         return names, samples[order]

@@ -22,8 +22,8 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
     truth = None
     if problem.target.twin:
         scene = problem.twin_scene
-        truth = {each.name: each.kind.read(scene) for each in problem.numbers} | problem.target.truth
-        run = problem.clocked(simulate(scene), np.array([truth[each.name] for each in problem.numbers]))
+        truth = {number.name: number.kind.read(scene) for number in problem.numbers} | problem.target.truth
+        run = problem.clocked(simulate(scene), np.array([truth[number.name] for number in problem.numbers]))
     else:
         run = read_run(problem)
     parts = []
@@ -50,7 +50,7 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
 
 def part_names(problem: Problem) -> list[str]:
     """What reports call each observation; of two of one kind the second has a number."""
-    kinds, names = [each.kind for each in problem.observations], []
+    kinds, names = [settings.kind for settings in problem.observations], []
     for index, settings in enumerate(problem.observations):
         before = kinds[:index].count(settings.kind)
         names.append(settings.name or (f"{settings.kind} {before + 1}" if before else settings.kind))
@@ -66,6 +66,6 @@ def read_run(problem: Problem) -> Trajectory:
             expected = f"a {problem.scene.dimension}D trajectory as the scene's"
             raise InputError(f"expected {expected}, got {run.scene.dimension}D")
         count, got = particle_count(problem.scene), run.positions.shape[1]
-        if got != count and any(each.every_particle for each in problem.operators):
+        if got != count and any(operator.every_particle for operator in problem.operators):
             raise InputError(f"expected the {count} particles of the problem's scene for a deposit, got {got}")
     return run

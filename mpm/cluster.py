@@ -123,8 +123,8 @@ def connected(address: str) -> Iterator[Workers]:
     except ImportError:
         raise InputError('expected Dask: pip install "talus[cluster]"', key="--scheduler") from None
     try:
-        found = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
-        client: Any = Client(**found, timeout=CONNECT)  # type: ignore[no-untyped-call]
+        location = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
+        client: Any = Client(**location, timeout=CONNECT)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise InputError(
             f"expected the address of a Dask scheduler, {error}", where=address, key="--scheduler"

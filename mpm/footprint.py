@@ -128,8 +128,8 @@ def footprint(
 
 def require_memory(footprints: list[Footprint]) -> None:
     """Raise InputError where runs side by side take more memory than is free: how much, and what to change."""
-    extra = sum(each.bytes - PROCESS for each in footprints)
-    largest = max(footprints, key=lambda each: each.bytes)
+    extra = sum(need.bytes - PROCESS for need in footprints)
+    largest = max(footprints, key=lambda need: need.bytes)
     memory.require(
         extra,
         "a run" if len(footprints) == 1 else f"{len(footprints)} runs",

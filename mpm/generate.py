@@ -96,10 +96,10 @@ def generate(
             print(price, flush=True)
         simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
         paths = [(trajectory_path(entry, out),) for entry in entries if entry.split is Split.TRAIN]
-        each = workers.finished(statistics_of, paths)
+        finished = workers.finished(statistics_of, paths)
         # Of all trajectories together, added in their order whoever is ready first.
-        found = dict(tqdm(each, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True))
-        statistics = reduce(MotionStatistics.__add__, (found[number] for number in range(len(paths))))
+        by_number = dict(tqdm(finished, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True))
+        statistics = reduce(MotionStatistics.__add__, (by_number[number] for number in range(len(paths))))
         write_json(out / "metadata.json", metadata(definition.name, entries, seed=seed, statistics=statistics))
 
 
@@ -111,13 +111,13 @@ def trajectory_path(entry: Entry, out: Path) -> Path:
 def missing_entries(entries: Iterable[Entry], out: Path) -> list[Entry]:
     """The entries without a file. Raises InputError for a file that is not of this dataset: nothing is overwritten."""
     required = {trajectory_path(entry, out): entry for entry in entries}
-    found = {path: None for split in Split for path in trajectory_files(out / split.value)}
-    for path in found:
+    present = {path: None for split in Split for path in trajectory_files(out / split.value)}
+    for path in present:
         if path not in required:
             raise InputError("expected no trajectory but those of this definition, seed and count", where=str(path))
         if stored_scene(path) != required[path].scene:
             raise InputError("expected the scene that this definition and seed give, found another", where=str(path))
-    return [entry for path, entry in required.items() if path not in found]
+    return [entry for path, entry in required.items() if path not in present]
 
 
 def simulate_all(

@@ -121,12 +121,14 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[MeasuredResoluti
     Only what was measured is picked, in scenes of the same dimension, never an interpolation; `measured` defaults to
     what ships. Raises InputError for a tolerance below the best that was measured.
     """
-    known = [each for each in (read_measured() if measured is None else measured) if each.dimension == scene.dimension]
-    best = min((each.promised for each in known), default=math.inf)
+    candidates = [
+        entry for entry in (read_measured() if measured is None else measured) if entry.dimension == scene.dimension
+    ]
+    best = min((entry.promised for entry in candidates), default=math.inf)
     tightest = f"at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured"
     require(best <= tolerance, "--tolerance", tightest, f"{100 * tolerance:.3g}%")
-    suitable = [each for each in known if each.promised <= tolerance]
-    cheapest = min(suitable, key=lambda each: each.particle_steps)
+    suitable = [entry for entry in candidates if entry.promised <= tolerance]
+    cheapest = min(suitable, key=lambda entry: entry.particle_steps)
     finer = with_resolution(scene, cheapest.resolution)
     return Resolved(scene=finer, measured=cheapest, cost=particle_steps(finer) / particle_steps(scene))
 
@@ -163,7 +165,7 @@ def characteristic_length(scene: Scene) -> float:
     for body in np.unique(group):
         extents = upper[group == body].max(axis=0) - lower[group == body].min(axis=0)
         # On a slope the box around a body is higher than its material.
-        heights = [height(scene, mass) for mass, own in zip(scene.masses, group == body, strict=True) if own]
+        heights = [height(scene, mass) for mass, member in zip(scene.masses, group == body, strict=True) if member]
         extents[1] = min(extents[1], sum(heights))
         for axis, extent in enumerate(extents.tolist()):
             wall_to_wall = axis != 1 and extent >= scene.domain.size[axis] - TOLERANCE

@@ -185,11 +185,11 @@ def write_safety(scene: Scene, out: Path, precision: Precision) -> int:
     from mpm.safety import safety_factor
 
     make_folder(out)
-    found = safety_factor(scene, precision=precision, progress=True)
-    write_json(out / "safety.json", dataclasses.asdict(found))
+    safety = safety_factor(scene, precision=precision, progress=True)
+    write_json(out / "safety.json", dataclasses.asdict(safety))
     print(
-        f"factor of safety {found.factor:.3f}: stands at {found.stands:.3f}, moves at {found.moves:.3f}; "
-        f"{found.cells:.3g} cells over the height, {len(found.displacements)} runs in {found.seconds:.1f} s"
+        f"factor of safety {safety.factor:.3f}: stands at {safety.stands:.3f}, moves at {safety.moves:.3f}; "
+        f"{safety.cells:.3g} cells over the height, {len(safety.displacements)} runs in {safety.seconds:.1f} s"
     )
     return 0
 

@@ -94,7 +94,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
         raise InputError("expected gravity above 0, nothing moves without", key="gravity")
     tall = scene_height(scene)
     begin, options["record"] = time.perf_counter(), Recording(frames=FRAMES // 2)
-    found: dict[float, float] = {}
+    displacements: dict[float, float] = {}
     moving: set[float] = set()
     factors: tuple[float, ...] = FIRST
     stands, moves = 0.0, math.inf
@@ -109,11 +109,11 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
                 float(np.quantile(np.linalg.norm(end - start, axis=1), 1.0 - SHARE)) / (SETTLEMENT * tall)
                 for start, end in ((begun, middle), (middle, last), (begun, last))
             )
-            found[factor] = whole
+            displacements[factor] = whole
             if whole > SLUMPED or (whole > MOVED and second > first):
                 moving.add(factor)
         moves = min(moving, default=math.inf)
-        stands = max((factor for factor in found if factor < moves), default=0.0)
+        stands = max((factor for factor in displacements if factor < moves), default=0.0)
         if stands >= WIDEST or moves <= 1.0 / WIDEST:
             said = f"stands at {stands:g} times less" if stands else f"moves at {1.0 / moves:g} times its"
             raise InputError(f"expected a scene with a factor of safety, this one {said} strength", key="masses")
@@ -127,7 +127,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
         factor=math.sqrt(stands * moves),
         stands=stands,
         moves=moves,
-        displacements=dict(sorted(found.items())),
+        displacements=dict(sorted(displacements.items())),
         cells=tall / scene.domain.cell,
         seconds=time.perf_counter() - begin,
     )
@@ -136,7 +136,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
 def reduced(scene: Scene, factor: float) -> Scene:
     """The scene of a run: its strength over `factor`, under its own weight from the start."""
     tall, bodies = scene_height(scene), [scene.material_of(mass) for mass in scene.masses]
-    settlement = max(scene.gravity * tall / (2.0 * each.wave_speed**2) for each in bodies)
+    settlement = max(scene.gravity * tall / (2.0 * material.wave_speed**2) for material in bodies)
     frame_dt = TIME * math.sqrt(tall / scene.gravity) / FRAMES
 
     def weaker(material: Material) -> Material:
@@ -144,10 +144,10 @@ def reduced(scene: Scene, factor: float) -> Scene:
         return cast(Material, law_named(material.law).weakened(stiff, factor))
 
     def standing(mass: Mass) -> Mass:
-        own = None if mass.material is None else weaker(mass.material)
+        material = None if mass.material is None else weaker(mass.material)
         k0 = "elastic" if mass.k0 is None else mass.k0
         still: dict[str, Any] = dict.fromkeys(("velocity", "angular_velocity", "release", "gate"))
-        return dataclasses.replace(mass, material=own, k0=k0, **still)
+        return dataclasses.replace(mass, material=material, k0=k0, **still)
 
     def flat(field: Field) -> Field:
         material = scene.material_of(scene.masses[field.mass or 0])

@@ -64,7 +64,7 @@ class ScenesFailed(WorkFailed):
     def __init__(self, outcomes: "Sequence[Trajectory | WorkFailed]") -> None:
         self.outcomes = list(outcomes)
         """The trajectory or the failure of each scene, in the order in which they were given."""
-        failed = {index: each for index, each in enumerate(outcomes) if isinstance(each, WorkFailed)}
+        failed = {index: outcome for index, outcome in enumerate(outcomes) if isinstance(outcome, WorkFailed)}
         first, reason = next(iter(failed.items()))
         others = f" (and {len(failed) - 1} more of {len(outcomes)})" if len(failed) > 1 else f" of {len(outcomes)}"
         super().__init__(f"scene {first}{others} failed: {reason}")
@@ -147,10 +147,10 @@ def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
 
 def whole(outcomes: Sequence[Trajectory | WorkFailed]) -> list[Trajectory]:
     """The trajectories of scenes. Raises ScenesFailed where one has none."""
-    found = [each for each in outcomes if isinstance(each, Trajectory)]
-    if len(found) < len(outcomes):
+    trajectories = [outcome for outcome in outcomes if isinstance(outcome, Trajectory)]
+    if len(trajectories) < len(outcomes):
         raise ScenesFailed(outcomes)
-    return found
+    return trajectories
 
 
 def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory | WorkFailed]:
@@ -177,8 +177,8 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     frames = sum(max(scenes[index].frames for index in group) - 1 for group in groups.values())
     with progress_bar(frames, 0, options) as bar:
         for group in groups.values():
-            own, begun = [scenes[index] for index in group], [particles[index] for index in group]
-            batch = Batch(own, precision=precision, record=record, gpu=gpu, particles=begun)
+            alike, begun = [scenes[index] for index in group], [particles[index] for index in group]
+            batch = Batch(alike, precision=precision, record=record, gpu=gpu, particles=begun)
             seconds = run_batch(batch, arch, bar, lambda: False, say=options.get("progress", False))
             wall_s, compile_s = wall_s + seconds[0], compile_s + seconds[1]
             for number, index in enumerate(group):

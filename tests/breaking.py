@@ -77,20 +77,20 @@ def orphans(session: int) -> list[int]:
     began = time.monotonic()
     while members(session) and time.monotonic() - began < ORPHANS:
         time.sleep(0.01)
-    found = members(session)
-    for number in found:
+    processes = members(session)
+    for number in processes:
         os.kill(number, signal.SIGKILL)
-    return found
+    return processes
 
 
 def members(session: int) -> list[int]:
     """Numbers of the processes of a session, without those that have ended and are not yet waited for."""
-    found = []
+    numbers = []
     for process in psutil.process_iter(["status"]):
         with suppress(ProcessLookupError):
             if os.getsid(process.pid) == session and process.info["status"] != psutil.STATUS_ZOMBIE:
-                found.append(process.pid)
-    return found
+                numbers.append(process.pid)
+    return numbers
 
 
 def unfinished(out: Path) -> list[Path]:
@@ -127,7 +127,7 @@ def answer(out: Path) -> Digest:
 def timeless(value: object) -> object:
     """`value` of a JSON file without its seconds, at any depth."""
     if isinstance(value, dict):
-        return {key: timeless(each) for key, each in value.items() if "second" not in key and not key.endswith("_s")}
+        return {key: timeless(part) for key, part in value.items() if "second" not in key and not key.endswith("_s")}
     if isinstance(value, list):
-        return [timeless(each) for each in value]
+        return [timeless(part) for part in value]
     return value

@@ -43,24 +43,26 @@ def scaled(scene: Scene, length: float, *, gravity: float = 9.81, density: float
     def long(values: tuple[float, ...], factor: float = length) -> tuple[float, ...]:
         return tuple(factor * value for value in values)
 
-    def shape(each: Mass | Baffle) -> dict[str, Any]:
-        return {"lower": long(each.lower), "size": long(each.size)}
+    def shape(body: Mass | Baffle) -> dict[str, Any]:
+        return {"lower": long(body.lower), "size": long(body.size)}
 
-    def ground(each: Solid) -> dict[str, Any]:
-        rows = {name: tuple(map(long, value)) for name in ("points", "heights") if (value := getattr(each, name))}
-        return rows | {name: long(value) for name in ("origin", "spacing") if (value := getattr(each, name))}
+    def ground(solid: Solid) -> dict[str, Any]:
+        rows = {name: tuple(map(long, value)) for name in ("points", "heights") if (value := getattr(solid, name))}
+        return rows | {name: long(value) for name in ("origin", "spacing") if (value := getattr(solid, name))}
 
     constants = {"young": sand.modulus, "cohesion": sand.cohesion, "tension_cutoff": sand.tension_cutoff}
     return replace(
         scene,
         domain=Domain(size=long(scene.domain.size), cell=length * scene.domain.cell),
-        material=replace(sand, density=density, **{name: each and stress * each for name, each in constants.items()}),
-        masses=tuple(
-            replace(each, **shape(each), velocity=each.velocity and long(each.velocity, length / time))
-            for each in scene.masses
+        material=replace(
+            sand, density=density, **{name: constant and stress * constant for name, constant in constants.items()}
         ),
-        baffles=tuple(replace(each, **shape(each)) for each in scene.baffles),
-        solids=tuple(replace(each, **ground(each)) for each in scene.solids),
+        masses=tuple(
+            replace(mass, **shape(mass), velocity=mass.velocity and long(mass.velocity, length / time))
+            for mass in scene.masses
+        ),
+        baffles=tuple(replace(baffle, **shape(baffle)) for baffle in scene.baffles),
+        solids=tuple(replace(solid, **ground(solid)) for solid in scene.solids),
         duration=time * scene.duration,
         frame_dt=time * scene.frame_dt,
         gravity=gravity,
@@ -73,9 +75,9 @@ def flow_of(scene: Scene, positions: ArrayLike, **others: Any) -> Trajectory:
     others: further arrays of a trajectory, or in place of its own.
     """
     frames = np.asarray(positions, np.float32)
-    own = {
+    defaults = {
         "time": np.arange(len(frames)) * scene.frame_dt,
         "velocity0": np.zeros(frames.shape[1:], np.float32),
         "friction": np.full(frames.shape[1], scene.material.friction, np.float32),
     }
-    return Trajectory(positions=frames, scene=scene, **{**own, **others})
+    return Trajectory(positions=frames, scene=scene, **{**defaults, **others})

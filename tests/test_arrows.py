@@ -49,27 +49,27 @@ def breaches(text: str, folder: str, restricted: Set[str] = frozenset()) -> list
     """What a module of `folder` does against the design, one line each."""
     tree = ast.parse(text)
     banned = (MAY_IMPORT.keys() - MAY_IMPORT[folder] - {folder}) | BANNED.get(folder, set()) | PICKLERS
-    found = [f"{line}: imports {module}" for line, module, _ in imports(tree) if module.split(".")[0] in banned]
+    lines = [f"{line}: imports {module}" for line, module, _ in imports(tree) if module.split(".")[0] in banned]
     for node in ast.walk(tree):
         match node:
             case ast.Attribute(value=ast.Name(id="pickle"), attr=name) if name not in PICKLE_ERRORS | restricted:
-                found.append(f"{node.lineno}: uses pickle.{name}")
-            case ast.ImportFrom(module="pickle", names=names) if {each.name for each in names} - PICKLE_ERRORS:
-                found.append(f"{node.lineno}: imports from pickle")
+                lines.append(f"{node.lineno}: uses pickle.{name}")
+            case ast.ImportFrom(module="pickle", names=names) if {alias.name for alias in names} - PICKLE_ERRORS:
+                lines.append(f"{node.lineno}: imports from pickle")
         if isinstance(node, ast.keyword) and f"{node.arg}={ast.unparse(node.value)}" in UNSAFE - restricted:
-            found.append(f"{node.value.lineno}: loads anything")
+            lines.append(f"{node.value.lineno}: loads anything")
     if text.count("\n") > LONGEST:
-        found.append(f"{text.count(chr(10))} lines; {LONGEST} are the most")
-    return found
+        lines.append(f"{text.count(chr(10))} lines; {LONGEST} are the most")
+    return lines
 
 
 def test_the_arrows() -> None:
-    found = {path.relative_to(ROOT).as_posix(): path for path in MODULES}
+    paths = {path.relative_to(ROOT).as_posix(): path for path in MODULES}
     seen = {
         name: breaches(path.read_text(), name.split("/")[0], RESTRICTED.get(name, frozenset()))
-        for name, path in found.items()
+        for name, path in paths.items()
     }
-    assert {name: each for name, each in seen.items() if each} == {}
+    assert {name: lines for name, lines in seen.items() if lines} == {}
     for folder, text in (
         ("datasets", "def late():\n    from torch import nn"),
         ("mpm", "import importlib\nimportlib.import_module('torch')"),
@@ -83,7 +83,7 @@ def test_the_arrows() -> None:
 def imported(tree: ast.AST, ours: Set[str]) -> Iterator[str]:
     """The modules of `ours` that a module imports."""
     for _, module, names in imports(tree):
-        inner = [each for name in names if (each := f"{module}.{name}") in ours]
+        inner = [submodule for name in names if (submodule := f"{module}.{name}") in ours]
         yield from inner or [module] * (module in ours)
 
 
@@ -93,7 +93,7 @@ def circles(texts: Mapping[str, str]) -> list[list[str]]:
     for name, text in texts.items():
         graph.add_edges_from((name, other) for other in imported(ast.parse(text), texts.keys()) if other != name)
     graph.remove_edges_from(UPWARDS)
-    return [sorted(each) for each in networkx.strongly_connected_components(graph) if len(each) > 1]
+    return [sorted(component) for component in networkx.strongly_connected_components(graph) if len(component) > 1]
 
 
 UPWARDS = {("datasets.flow.trajectory", "datasets.exchange.page")}

@@ -58,11 +58,11 @@ def test_code_that_a_page_names_exists(page: Path) -> None:
         parts = name.split(".")
         for count in range(len(parts), 0, -1):
             try:
-                found = importlib.import_module(".".join(parts[:count]))
+                member = importlib.import_module(".".join(parts[:count]))
             except ModuleNotFoundError:
                 continue
             for part in parts[count:]:
-                found = getattr(found, part)
+                member = getattr(member, part)
             break
 
 
@@ -93,11 +93,11 @@ def test_the_problem_of_a_deposit_is_read(deposit: Path) -> None:
 
 
 def test_a_prior_is_stated_alike_in_toml_and_in_python(tmp_path: Path) -> None:
-    page, found = DOCS / "how-to" / "prior.md", dict[str, Any]()
+    page, namespace = DOCS / "how-to" / "prior.md", dict[str, Any]()
     (tmp_path / "problem.toml").write_text(blocks(page, "toml")[0])
     problem = read_problem(str(tmp_path / "problem.toml"))
-    exec(blocks(page, "python")[0], found)
-    assert (problem.parameters[0], problem.correlations) == (found["friction"], (found["pair"],))
+    exec(blocks(page, "python")[0], namespace)
+    assert (problem.parameters[0], problem.correlations) == (namespace["friction"], (namespace["pair"],))
 
 
 @pytest.mark.slow
@@ -107,8 +107,8 @@ def test_the_deposit_is_explained(deposit: Path) -> None:
         command = block.replace("python", sys.executable, 1)
         subprocess.run(command, shell=True, check=True, cwd=deposit, env={**os.environ, "PYTHONPATH": str(ROOT)})
     result = json.loads((deposit / "out" / "site-problem" / "result.json").read_text())
-    found, width = result["unknowns"]["friction_deg"], result["certainty"]["friction_deg"]
-    assert abs(found - 27.0) <= width
+    angle, width = result["unknowns"]["friction_deg"], result["certainty"]["friction_deg"]
+    assert abs(angle - 27.0) <= width
 
 
 @pytest.mark.slow
@@ -127,12 +127,12 @@ def test_the_gradients_of_the_page_agree() -> None:
     sides = sides.replace(
         "print(type(forward).__name__, ", "slopes.setdefault(type(forward).__name__, angle.grad.item()); ("
     )
-    found: dict[str, Any] = {"slopes": slopes}
-    exec(sides, found)
+    namespace: dict[str, Any] = {"slopes": slopes}
+    exec(sides, namespace)
     # Millimetres per degree: the surrogate's is near the adjoint's.
     assert slopes["AdjointForward"] == pytest.approx(-0.011, rel=0.2)
     assert slopes["GnsForward"] == pytest.approx(slopes["AdjointForward"], rel=0.3)
-    assert found["differences"][1e-4] == pytest.approx(slopes["GnsForward"], rel=1e-3)
+    assert namespace["differences"][1e-4] == pytest.approx(slopes["GnsForward"], rel=1e-3)
     names: dict[str, Any] = {}
     exec(plain, names)
     scene = read_scene("column-tall-42")
@@ -255,9 +255,14 @@ def test_every_key_of_a_scene_stands_on_the_page_with_its_default(kind: type) ->
 def test_every_key_of_a_trajectory_stands_on_the_page(tmp_path: Path) -> None:
     flow = toy(2)
     shape = flow.positions.shape
-    each, scalars = np.ones(shape[1]), np.zeros(shape[:2])
+    per_particle, scalars = np.ones(shape[1]), np.zeros(shape[:2])
     stress, impulse = np.zeros((*shape[:2], 4)), np.zeros((shape[0], len(flow.scene.baffles), 2))
-    whole = {"volume": each, "mass": np.zeros(shape[1], np.int32), "velocities": np.zeros(shape), "stress": stress}
+    whole = {
+        "volume": per_particle,
+        "mass": np.zeros(shape[1], np.int32),
+        "velocities": np.zeros(shape),
+        "stress": stress,
+    }
     whole |= dict.fromkeys(("pressure", "plastic_strain", "pore_pressure"), scalars)
     whole |= {"entry_time": np.zeros(shape[1]), "solid_impulse": impulse, "summary": {"steps": 7}}
     dataclasses.replace(flow, **whole).save(tmp_path / "trajectory.npz")

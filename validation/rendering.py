@@ -145,10 +145,10 @@ def add_particles(plotter: Any, meshes: Meshes, colour: Colour, frame: int, scal
         materials = meshes.fields.materials
         limits, marks = (-0.5, len(materials) - 0.5), 0
         colours = ListedColormap(colormaps[field.colours](np.arange(len(materials)) % 8)[:, :3])
-        names = {float(index): f"{index}: {each.friction_deg:g}°" for index, each in enumerate(materials)}
+        names = {float(index): f"{index}: {material.friction_deg:g}°" for index, material in enumerate(materials)}
     else:
-        known = values[np.isfinite(values)]
-        top = float(np.quantile(known, RANGE_QUANTILE)) if len(known) else 0.0
+        finite = values[np.isfinite(values)]
+        top = float(np.quantile(finite, RANGE_QUANTILE)) if len(finite) else 0.0
         limits, marks, names = (0.0, top or 1.0), 5, None
     plotter.add_mesh(
         cloud,

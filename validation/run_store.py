@@ -49,11 +49,11 @@ class Run:
     def digest(self) -> str:
         """Of all that decides the result. What a scene leaves at its default is left out: new keys change nothing."""
         scene = [
-            (each.name, getattr(self.scene, each.name))
-            for each in dataclasses.fields(self.scene)
-            if getattr(self.scene, each.name) != each.default
+            (field.name, getattr(self.scene, field.name))
+            for field in dataclasses.fields(self.scene)
+            if getattr(self.scene, field.name) != field.default
         ]
-        record = [(each.name, getattr(self.record, each.name)) for each in dataclasses.fields(self.record)]
+        record = [(field.name, getattr(self.record, field.name)) for field in dataclasses.fields(self.record)]
         # Runs without fields keep the names under which they are on disk.
         record = [
             (name, value or [] if name == "fields" else value) for name, value in record if name != WATER or value
@@ -71,8 +71,8 @@ class Run:
 @contextmanager
 def kept(folder: Path | str | None) -> Iterator[Path]:
     """The folder of finished work, held for this process, or a temporary one."""
-    with TemporaryDirectory() if folder is None else locked(Path(folder)) as found:
-        yield Path(found)
+    with TemporaryDirectory() if folder is None else locked(Path(folder)) as place:
+        yield Path(place)
 
 
 def caveats(flows: Sequence[Trajectory]) -> list[str]:
@@ -107,8 +107,8 @@ class RunStore:
         Runs that need the same kernel follow one another, cheap ones first. Raises ScenesFailed where some of those
         that run side by side fail, once the others of them are stored.
         """
-        found = {run: self._load(run) for run in dict.fromkeys(runs)}
-        missing = [run for run, trajectory in found.items() if trajectory is None]
+        trajectories = {run: self._load(run) for run in dict.fromkeys(runs)}
+        missing = [run for run, trajectory in trajectories.items() if trajectory is None]
         missing.sort(key=lambda run: (run.kernel, particle_steps(run.scene)))
         total = sum(particle_steps(run.scene) for run in missing)
         with tqdm(total=total, desc="MPM", unit="particle-step", unit_scale=True, leave=False, disable=None) as bar:
@@ -116,9 +116,9 @@ class RunStore:
                 alike, size = list(group), 1 if kernel[0] else self.width()
                 for first in range(0, len(alike), size):
                     batch = alike[first : first + size]
-                    found.update(zip(batch, self._make(batch), strict=True))
+                    trajectories.update(zip(batch, self._make(batch), strict=True))
                     bar.update(sum(particle_steps(run.scene) for run in batch))
-        return [trajectory for run in runs if (trajectory := found[run]) is not None]
+        return [trajectory for run in runs if (trajectory := trajectories[run]) is not None]
 
     def path(self, run: Run) -> Path:
         """Where a run lies, or will."""
@@ -144,7 +144,7 @@ class RunStore:
         except ScenesFailed as error:
             failed, outcomes = error, error.outcomes
         finished = [outcome for outcome in outcomes if isinstance(outcome, Trajectory)]
-        compiled = max((float(each.summary.get("compile_s", 0.0)) for each in finished), default=0.0)
+        compiled = max((float(flow.summary.get("compile_s", 0.0)) for flow in finished), default=0.0)
         share = (time.perf_counter() - began - compiled) / len(batch)
         stored = []
         for run, outcome in zip(batch, outcomes, strict=True):

@@ -23,18 +23,18 @@ def source_of(path: Path) -> tuple[Path, str, dict[str, Any]]:
     from datasets.flow.trajectory import trajectory_file
 
     result = path / "result.json"
-    found = read_json(result) if path.is_dir() else None
-    if found is None:
+    record = read_json(result) if path.is_dir() else None
+    if record is None:
         return trajectory_file(path), path.resolve().name if path.is_dir() else path.stem, {}
     with reading(result, "the result of an inversion"):
-        runs = [each for each in found["mpm_runs"] if each["file"]]
-        checks = [each for each in runs if each["purpose"] == "check"] or runs
+        runs = [mpm_run for mpm_run in record["mpm_runs"] if mpm_run["file"]]
+        checks = [mpm_run for mpm_run in runs if mpm_run["purpose"] == "check"] or runs
         if not checks:
             raise InputError("expected a run of the MPM, this result has none", key="mpm_runs")
         # One of the first answer.
-        best = min(checks, key=lambda each: (each["unknowns"] != found["unknowns"], each["loss"] or 0.0))
-        seen = found["observation"]
-        profile = {key: [float(each) for each in seen.get("profile", {}).get(key, ())] for key in ("x", "height")}
+        best = min(checks, key=lambda mpm_run: (mpm_run["unknowns"] != record["unknowns"], mpm_run["loss"] or 0.0))
+        seen = record["observation"]
+        profile = {key: [float(value) for value in seen.get("profile", {}).get(key, ())] for key in ("x", "height")}
         front = None if seen.get("front") is None else float(seen["front"])
         return path / str(best["file"]), "MPM at the answer", {"front": front, **profile}
 
@@ -62,7 +62,7 @@ def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None
     if other is not None:
         files, labels = [file, source_of(other)[0]], [*labels_of(flow, other)]
     page = out or (flow if flow.is_dir() else flow.parent) / "view.html"
-    flows = [open_trajectory(each, *FIELDS) for each in files]
+    flows = [open_trajectory(path, *FIELDS) for path in files]
     with naming(files[-1]):
         write_view(page, *flows, title=flow.resolve().name, labels=labels, observed=Observed(**observed))
     print(f"written to {page}, {page.stat().st_size / 1e6:.1f} MB")

@@ -93,7 +93,7 @@ def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Pat
         data = {key: drawn(value, stream, variables, ("scene", key)) for key, value in content.scene.items()}
         data.setdefault("seed", int(stream.integers(2**31)))
         tries += 1
-        bodies += max(MANY, sum(len(each) for each in data.values() if isinstance(each, list)))
+        bodies += max(MANY, sum(len(part) for part in data.values() if isinstance(part, list)))
         try:
             with errors.keyed("scene"):
                 scene = scene_from(data, folder)
@@ -110,17 +110,17 @@ def drawn(value: Any, stream: np.random.Generator, variables: Draws, key: Key) -
         kinds = OPTIONS.keys() & value.keys()
         if kinds:
             return draw_value(value, min(kinds), stream, variables, key)
-        return {name: drawn(each, stream, variables, (*key, name)) for name, each in value.items() if name != "count"}
+        return {name: drawn(entry, stream, variables, (*key, name)) for name, entry in value.items() if name != "count"}
     if isinstance(value, list):
         items = []
-        for number, each in enumerate(value):
+        for number, item in enumerate(value):
             where = (*key, number)
-            given = each.get("count", 1) if isinstance(each, Mapping) else 1
+            given = item.get("count", 1) if isinstance(item, Mapping) else 1
             repeats = drawn(given, stream, variables, (*where, "count"))
             counts = isinstance(repeats, int) and 0 <= repeats <= MOST_COPIES
             expected = f"a whole number of at least 0, up to {MOST_COPIES}"
             require(counts, dotted((*where, "count")), expected, repr(repeats))
-            items += [drawn(each, stream, variables, where) for _ in range(repeats)]
+            items += [drawn(item, stream, variables, where) for _ in range(repeats)]
         return items
     return value
 
@@ -133,13 +133,15 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
     if kind == "choice":
         require(isinstance(given, list) and len(given) > 0, where, "a list of values", value)
         weights = value.get("weights", [1] * len(given))
-        fit = isinstance(weights, list) and len(weights) == len(given) and all(type(each) is int for each in weights)
+        fit = (
+            isinstance(weights, list) and len(weights) == len(given) and all(type(weight) is int for weight in weights)
+        )
         require(fit and min(weights) > 0, where, "weights, a positive whole number for each value", value)
         chosen = int(np.searchsorted(np.cumsum(weights), stream.integers(sum(weights)), side="right"))
         return drawn(given[chosen], stream, variables, key)
     if kind == "variable":
-        known = isinstance(given, str) and given in variables
-        require(known, where, f"one of the variables {sorted(variables)}", repr(given))
+        defined = isinstance(given, str) and given in variables
+        require(defined, where, f"one of the variables {sorted(variables)}", repr(given))
         if not OPTIONS[kind] & value.keys():
             return variables[given]
         terms = [variables[given], value.get("factor", 1.0), value.get("offset", 0.0)]
@@ -174,7 +176,7 @@ def rounded(value: float) -> float:
 def check_gaps(scene: Scene, gap: float) -> None:
     """Raise InputError where a baffle is nearer than `gap` [m] to another or to a mass, along every axis."""
     for (_, a), (name, b) in combinations(keyed(scene, "masses", "baffles").items(), 2):
-        low, size, other, other_size = (np.array(each) for each in (a.lower, a.size, b.lower, b.size))
+        low, size, other, other_size = (np.array(vector) for vector in (a.lower, a.size, b.lower, b.size))
         distance = float(np.maximum(low - other - other_size, other - low - size).max())
         if name.startswith("baffles") and distance < gap - TOLERANCE:
             raise OutOfRange(f"expected a gap of at least {gap:g} m, got {distance:.3g}", key=name)

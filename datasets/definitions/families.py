@@ -76,7 +76,7 @@ def family(path: Path) -> Definition:
     data = read_toml(path)
     if "like" in data:
         data = over(read_toml(path.with_name(f"{data.pop('like')}.toml")), data)
-    kinds = {name: over(data["shared"], own) for name, own in data["kinds"].items()}
+    kinds = {name: over(data["shared"], kind) for name, kind in data["kinds"].items()}
     order = tuple(data["order"])
     count = len(order)
 
@@ -98,11 +98,11 @@ def family(path: Path) -> Definition:
 
 def over(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     """The keys of two tables, those of `own` where both have them; tables in them the same, but for distributions."""
-    found = {**base, **own}
+    merged = {**base, **own}
     for name in base.keys() & own.keys():
-        if all(isinstance(each[name], dict) and not OPTIONS.keys() & each[name].keys() for each in (base, own)):
-            found[name] = over(base[name], own[name])
-    return found
+        if all(isinstance(table[name], dict) and not OPTIONS.keys() & table[name].keys() for table in (base, own)):
+            merged[name] = over(base[name], own[name])
+    return merged
 
 
 def valid(attempt: Callable[[], Scene], name: str) -> Scene:
@@ -135,11 +135,11 @@ def composed(stream: Stream, kind: Numbers) -> Scene:
             masses, thickness = sheet_of(sketch, sketch["sheet"], plan)
             top += thickness
         masses = tuple(
-            dataclasses.replace(each, lower=on_ground(each, solids[0])) if each.size else each for each in masses
+            dataclasses.replace(mass, lower=on_ground(mass, solids[0])) if mass.size else mass for mass in masses
         )
     top = max([top, *(mass.lower[1] + mass.size[1] for mass in masses if mass.size)])
     extent, cell = (plan[0], max(sketch["height"], top + AIR), *plan[1:]), sketch["cell"]
-    domain = Domain(size=tuple(cell * math.ceil(each / cell - 1e-6) for each in extent), cell=cell)
+    domain = Domain(size=tuple(cell * math.ceil(length / cell - 1e-6) for length in extent), cell=cell)
     baffles = baffles_of(stream, {**sketch, "baffles": kind.get("baffles")}, masses, domain, solids)
     keys["baffle_friction"] = keys.get("baffle_friction", 0.0) if baffles else 0.0
     seed = int(stream.integers(2**31))
@@ -232,7 +232,7 @@ def on_ground(mass: Mass, terrain: Solid) -> tuple[float, ...]:
     """Lower corner of a box in 3D [m] that lies on the highest post of a terrain beneath it, or above that."""
     heights = np.array(terrain.heights)
     for axis, first, step in zip((0, 2), terrain.origin or (), terrain.spacing or (), strict=True):
-        begin, end = ((each - first) / step for each in (mass.lower[axis], mass.lower[axis] + mass.size[axis]))
+        begin, end = ((edge - first) / step for edge in (mass.lower[axis], mass.lower[axis] + mass.size[axis]))
         heights = heights[math.floor(begin) : math.ceil(end) + 1].T
     return mass.lower[0], mass.lower[1] + float(heights.max()), mass.lower[2]
 
@@ -309,7 +309,9 @@ def apart(baffles: list[Baffle], front: float, gap: float) -> bool:
     around = boxes(tuple(baffles), len(baffles[0].size))
     level = plan_axes(around.shape[-1])
     distances = (np.maximum(a[0] - b[1], b[0] - a[1])[level].max() for a, b in combinations(around, 2))
-    return bool((around[:, 0, 0] >= front + 0.5 * gap).all()) and all(each >= gap - 1.0e-9 for each in distances)
+    return bool((around[:, 0, 0] >= front + 0.5 * gap).all()) and all(
+        distance >= gap - 1.0e-9 for distance in distances
+    )
 
 
 def variant(stream: Stream, scene: Scene) -> Scene:
@@ -340,5 +342,5 @@ def stronger(scene: Scene, turn: float, factor: float) -> Scene:
         new = with_cutoff({"friction_deg": sand.friction_deg + turn, "cohesion": factor * sand.cohesion})
         return dataclasses.replace(sand, **new)
 
-    masses = (dataclasses.replace(each, material=each.material and changed(each.material)) for each in scene.masses)
+    masses = (dataclasses.replace(mass, material=mass.material and changed(mass.material)) for mass in scene.masses)
     return dataclasses.replace(scene, masses=tuple(masses), material=changed(scene.material))

@@ -99,8 +99,8 @@ def images(scene: Scene) -> Iterator[tuple[list[Floats], NDArray[np.bool_]]]:
 
 def boxes(group: tuple[Mass, ...] | tuple[Baffle, ...], dimension: int) -> Floats:
     """Lower and upper corner of each [m], of a turned baffle those of the box around it; shape [K, 2, D]."""
-    lower, size = (np.array([getattr(each, key) for each in group]).reshape(-1, dimension) for key in ("lower", "size"))
-    turn = np.radians([getattr(each, "turned_deg", 0.0) for each in group])
+    lower, size = (np.array([getattr(body, key) for body in group]).reshape(-1, dimension) for key in ("lower", "size"))
+    turn = np.radians([getattr(body, "turned_deg", 0.0) for body in group])
     plane = [0, dimension - 1]
     cosine, sine = np.abs(np.cos(turn))[:, None], np.abs(np.sin(turn))[:, None]
     extent = size.astype(np.float64)

@@ -65,9 +65,9 @@ class MotionStatistics:
     @staticmethod
     def from_samples(*samples: NDArray[np.float64]) -> "MotionStatistics":
         """The moments of v_t and of a_t, shape [S, D] each; S may be 0."""
-        mean = [each.mean(axis=0) if len(each) else np.zeros(each.shape[1]) for each in samples]
-        squares = [((each - middle) ** 2).sum(axis=0) for each, middle in zip(samples, mean, strict=True)]
-        count = np.array([[len(each)] for each in samples])
+        mean = [sample.mean(axis=0) if len(sample) else np.zeros(sample.shape[1]) for sample in samples]
+        squares = [((sample - middle) ** 2).sum(axis=0) for sample, middle in zip(samples, mean, strict=True)]
+        count = np.array([[len(sample)] for sample in samples])
         return MotionStatistics(count=count, mean=np.array(mean), squares=np.array(squares))
 
     def __add__(self, other: "MotionStatistics") -> "MotionStatistics":
@@ -101,18 +101,18 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
     """
     scenes = [entry.scene for entry in entries]
     scene = scenes[0]
-    materials = [asdict(each.material) for each in scenes]
-    angles = [each.material.friction_deg for each in scenes]
+    materials = [asdict(member.material) for member in scenes]
+    angles = [member.material.friction_deg for member in scenes]
 
     counted = dict(zip(("velocities", "accelerations"), statistics.count[:, 0].tolist(), strict=True))
 
     def shared(key: str) -> Any:
-        return extremes([getattr(each, key) for each in scenes])
+        return extremes([getattr(member, key) for member in scenes])
 
     return {
         # The keys of geoelements.
-        "bounds": [[0.0, max(lengths)] for lengths in zip(*(each.domain.size for each in scenes), strict=True)],
-        "sequence_length": max(each.frames for each in scenes),
+        "bounds": [[0.0, max(lengths)] for lengths in zip(*(member.domain.size for member in scenes), strict=True)],
+        "sequence_length": max(member.frames for member in scenes),
         "default_connectivity_radius": 2.0 * scene.domain.cell,
         "dim": scene.dimension,
         "dt": shared("frame_dt"),
@@ -126,10 +126,12 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
         "count": len(entries),
         "splits": {split.value: sum(entry.split is split for entry in entries) for split in Split},
         "statistics": {"split": entries[0].split.value, "moving_speed": MOVING_SPEED, **counted},
-        "cell": extremes([each.domain.cell for each in scenes]),
+        "cell": extremes([member.domain.cell for member in scenes]),
         "particles_per_axis": shared("particles_per_axis"),
         "step_fraction": shared("step_fraction"),
-        "material": {key: extremes([each[key] for each in materials]) for key in materials[0] if key != "friction_deg"},
+        "material": {
+            key: extremes([material[key] for material in materials]) for key in materials[0] if key != "friction_deg"
+        },
         "friction_deg": [min(angles), max(angles)],
         **{key: shared(key) for key in ("floor_friction", "wall_friction", "baffle_friction", "damping")},
         "version": __version__,

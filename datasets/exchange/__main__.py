@@ -57,7 +57,7 @@ def export(dataset: Path, out: Path) -> None:
     for split, paths in files.items():
         if paths:
             bar = tqdm(paths, desc=split.value, unit="trajectory", dynamic_ncols=True)
-            geoelements.write(out / f"{split.value}.npz", ((each.stem, Trajectory.load(each)) for each in bar))
+            geoelements.write(out / f"{split.value}.npz", ((path.stem, Trajectory.load(path)) for path in bar))
     write_json(out / "metadata.json", described)
 
 
@@ -114,9 +114,9 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
             continue
         # They may describe a larger box for rollouts than for training.
         purpose = content.get("rollout" if split is Split.TEST else "train", content)
-        known = {key: purpose[key] for key in ForeignMetadata.__dataclass_fields__ if key in purpose}
+        values = {key: purpose[key] for key in ForeignMetadata.__dataclass_fields__ if key in purpose}
         with naming(source / "metadata.json"):
-            foreign = from_mapping(ForeignMetadata, known)
+            foreign = from_mapping(ForeignMetadata, values)
         flows = tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True)
         for name, sand in flows:
             with naming(path, name):
@@ -174,7 +174,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
 def check_empty(out: Path) -> None:
     """Raise InputError where `out` is no folder or holds anything: nothing is overwritten."""
-    if out.exists() and (not out.is_dir() or any(each.name[0] != "." for each in out.iterdir())):
+    if out.exists() and (not out.is_dir() or any(path.name[0] != "." for path in out.iterdir())):
         raise InputError("expected an empty folder", where=str(out))
 
 

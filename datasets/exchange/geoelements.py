@@ -54,7 +54,7 @@ def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
     follow the surface of terrain from below.
     """
     spacing, size, planar = scene.particle_spacing, np.array(scene.domain.size), scene.dimension == 2
-    found = [np.empty((0, scene.dimension))]
+    parts = [np.empty((0, scene.dimension))]
     for solid, key in zip(*solids_of(scene), strict=True):
         if solid.kind == "terrain":
             continue
@@ -64,13 +64,13 @@ def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
         thickness = 2.0 * (shape.area / shape.length if planar else shape.volume() / shape.surface_area())
         lattice, _ = lattice_in(vertices.min(axis=0), vertices.max(axis=0), min(spacing, thickness))
         within = shapely.contains_xy(shape, lattice) if planar else sliced(vertices, faces, lattice)
-        found.append(lattice[within])
+        parts.append(lattice[within])
     if any(solid.kind == "terrain" for solid in scene.solids):
         lengths = size[plan_axes(scene.dimension)]
         plan, _ = lattice_in(np.zeros(len(lengths)), lengths, spacing)
         top = elevation(scene.solids, scene.domain, plan)
-        found += [np.insert(plan, 1, top - share * spacing, axis=1) for share in (0.5, 1.5)]
-    points = np.concatenate(found)
+        parts += [np.insert(plan, 1, top - share * spacing, axis=1) for share in (0.5, 1.5)]
+    points = np.concatenate(parts)
     return np.asarray(points[((points >= 0.0) & (points <= size)).all(axis=1)])
 
 
@@ -122,14 +122,14 @@ def checked(positions: Any, types: Any, material: Any) -> Sand:
 
     positions = numbers(positions, "positions", "f")
     expected = "positions of shape [T, N, 2 or 3] over two frames or more"
-    known = positions.ndim == 3 and positions.shape[2] in (2, 3) and len(positions) > 1 and positions.shape[1] > 0
-    require(known, "", expected, positions.shape)
+    fits = positions.ndim == 3 and positions.shape[2] in (2, 3) and len(positions) > 1 and positions.shape[1] > 0
+    require(fits, "", expected, positions.shape)
     require(bool((abs(positions) < FARTHEST).all()), "", f"positions within {FARTHEST:g} m", "others, or nan")
     count = positions.shape[1]
     types = numbers(types, "types", "iu")
     require(types.shape in ((), (count,)), "", f"one type for all particles or for each of {count}", types.shape)
-    found = sorted(set(types.ravel().tolist()))
-    require(set(found) <= set(ParticleType), "", f"particle types of {sorted(map(int, ParticleType))}", found)
+    present = sorted(set(types.ravel().tolist()))
+    require(set(present) <= set(ParticleType), "", f"particle types of {sorted(map(int, ParticleType))}", present)
     sand = np.broadcast_to(types == ParticleType.SAND, (count,))
     require(bool(sand.any()), "", "sand that moves", "obstacles alone")
     if material is None:

@@ -64,7 +64,7 @@ def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
     require(given, "margin", "a length of at least 0 m beside around", margin)
     require(isinstance(cell, int | float) and usual(cell) and cell > 0.0, "cell", "a positive length in m", cell)
     if crs is None and isinstance(solids, list):
-        files = [each.get("file") for each in solids if isinstance(each, dict) and each.get("kind") == "terrain"]
+        files = [solid.get("file") for solid in solids if isinstance(solid, dict) and solid.get("kind") == "terrain"]
         crs = next((raster_system(folder / file) for file in files if isinstance(file, str)), None)
     elif crs is not None:
         crs = known_system(str(crs))
@@ -93,7 +93,7 @@ def with_elevations(domain: Entry, data: Entry) -> Entry:
     require(low < math.inf, "around", "a terrain in 3D, which says how high the box is", "none")
     if any(lower[2 * n] < first or upper[2 * n] > last for n, (first, last) in enumerate(ends)):
         warnings.warn("domain.margin: the box ends where the terrain does", stacklevel=2)
-    thick = max((largest(each.get("thickness", 0.0)) for each in entries(data, "masses")), default=0.0)
+    thick = max((largest(mass.get("thickness", 0.0)) for mass in entries(data, "masses")), default=0.0)
     tops = [top for group in ("masses", "baffles", "solids") for top in map(top_of, entries(data, group))]
     lower[1], upper[1] = low, max(high + thick, *tops)
     return domain | whole_cells(lower, upper, float(domain["cell"]), ends, "cell")
@@ -101,8 +101,8 @@ def with_elevations(domain: Entry, data: Entry) -> Entry:
 
 def entries(data: Entry, group: str) -> list[Entry]:
     """The tables of a group such as `masses`; what is none is left to the scene's own checks."""
-    found = data.get(group)
-    return [each for each in found if isinstance(each, dict)] if isinstance(found, list) else []
+    listed = data.get(group)
+    return [table for table in listed if isinstance(table, dict)] if isinstance(listed, list) else []
 
 
 def posts_of(terrain: Entry) -> tuple[list[Floats], Floats] | None:

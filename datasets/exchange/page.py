@@ -85,7 +85,7 @@ class Shown:
 
     def known(self) -> dict[str, NDArray[np.floating]]:
         """The fields that are known at every moment, shape [T, P]."""
-        return {key: np.stack(own) for key, own in self.values.items() if len(own) == len(self.positions)}
+        return {key: np.stack(series) for key, series in self.values.items() if len(series) == len(self.positions)}
 
 
 class Numbers:
@@ -121,21 +121,21 @@ def write_view(
     """
     flows = (flow,) if other is None else (flow, other)
     dimension = flow.scene.dimension
-    for each in flows[1:]:
-        its = each.scene.dimension
+    for run in flows[1:]:
+        its = run.scene.dimension
         require(its == dimension, "", f"a {dimension}D flow over one", f"{its}D")
     columns, times = Columns.of_flows(flows), evenly(flow.time, FRAMES)
-    shown = [Shown(each, columns) for each in flows]
+    shown = [Shown(run, columns) for run in flows]
     same = None if other is None else pairs(shown[0].fields, shown[1].fields)
     for time in times.tolist():
-        moments = [each.fields.at_time(time) for each in shown]
+        moments = [view.fields.at_time(time) for view in shown]
         if same is not None:
             apart = np.linalg.norm(moments[0]["position"][same[0]] - moments[1]["position"][same[1]], axis=1)
             few = int(len(moments[1]["position"]) < len(moments[0]["position"]))
             moments[few][ERROR] = np.zeros(len(apart))
             moments[few][ERROR][same[few]] = apart
-        for own, values in zip(shown, moments, strict=True):
-            own.add(values)
+        for view, values in zip(shown, moments, strict=True):
+            view.add(values)
     numbers = Numbers()
     head = {
         "dimension": dimension,
@@ -143,8 +143,8 @@ def write_view(
         "digits": 1 if times[-1] > 100.0 else 2 if times[-1] > 5.0 else 3,
         "stations": columns.middles.tolist(),
         "depth": "thickness [m]" if dimension == 2 else "mean thickness over z [m]",
-        **described(shown, numbers, [html.escape(each) for each in labels]),
-        **still([each.scene for each in flows]),
+        **described(shown, numbers, [html.escape(label) for label in labels]),
+        **still([run.scene for run in flows]),
         "observed": vars(observed or Observed()),
         "about": html.escape(about(shown, labels, times)),
     }
@@ -167,37 +167,39 @@ def packed(data: bytes) -> str:
 
 def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -> dict[str, Any]:
     """The flows, fields and ranges of a page, their arrays put into `numbers`."""
-    places = [np.stack(each.positions).swapaxes(1, 2) for each in shown]
-    low = np.min([each.min(axis=(0, 2)) for each in places], axis=0)
-    high = np.max([each.max(axis=(0, 2)) for each in places], axis=0)
-    corners = np.stack([extent(each.flow.scene, np.stack(each.positions)) for each in shown])
+    places = [np.stack(view.positions).swapaxes(1, 2) for view in shown]
+    low = np.min([place.min(axis=(0, 2)) for place in places], axis=0)
+    high = np.max([place.max(axis=(0, 2)) for place in places], axis=0)
+    corners = np.stack([extent(view.flow.scene, np.stack(view.positions)) for view in shown])
     fields: dict[str, dict[str, Any]] = {"run": {"name": "which flow"}} if len(shown) > 1 else {}
-    materials = list(dict.fromkeys(material for each in shown for material in each.fields.materials))
-    known, tops = [each.known() for each in shown], {}
+    materials = list(dict.fromkeys(material for view in shown for material in view.fields.materials))
+    field_arrays, tops = [view.known() for view in shown], {}
     for key in SHOWN:
-        series = [own[key].ravel() for own in known if key in own]
+        series = [arrays[key].ravel() for arrays in field_arrays if key in arrays]
         if series and (key != Colour.MATERIAL or len(materials) > 1):
             top = float(np.quantile(np.concatenate(series), RANGE_QUANTILE))
             # Numbers of materials are stored as they are.
             tops[key] = 255.0 if key == Colour.MATERIAL else top or 1.0
             fields[key] = coloured(key, tops[key], materials)
     runs = []
-    for each, arrays, place, label, colour in zip(shown, known, places, labels, COLOURS, strict=False):
-        values = {key: own[:, None] for key, own in arrays.items() if key in tops}
+    for view, arrays, place, label, colour in zip(shown, field_arrays, places, labels, COLOURS, strict=False):
+        values = {key: array[:, None] for key, array in arrays.items() if key in tops}
         if Colour.MATERIAL in values:
-            own = np.array([materials.index(material) for material in each.fields.materials])
-            values[Colour.MATERIAL] = own[values[Colour.MATERIAL].astype(int)]
-        highest = np.array([max(float(np.max(each.heights)), 1.0e-9)])
+            indices = np.array([materials.index(material) for material in view.fields.materials])
+            values[Colour.MATERIAL] = indices[values[Colour.MATERIAL].astype(int)]
+        highest = np.array([max(float(np.max(view.heights)), 1.0e-9)])
         run = {
             "label": label,
             "colour": colour,
             # Between the particles that are drawn.
-            "spacing": float(each.flow.volumes.sum() / len(each.particles)) ** (1.0 / place.shape[1]),
-            "front": each.front,
-            "entry": None if (entry := each.flow.entry_time) is None else entry[each.particles].tolist(),
+            "spacing": float(view.flow.volumes.sum() / len(view.particles)) ** (1.0 / place.shape[1]),
+            "front": view.front,
+            "entry": None if (entry := view.flow.entry_time) is None else entry[view.particles].tolist(),
             "positions": numbers.put(place, low, high, "u2"),
-            "heights": numbers.put(np.stack(each.heights)[:, None], np.zeros(1), highest, "u2"),
-            "fields": {key: numbers.put(own, np.zeros(1), np.array([tops[key]]), "u1") for key, own in values.items()},
+            "heights": numbers.put(np.stack(view.heights)[:, None], np.zeros(1), highest, "u2"),
+            "fields": {
+                key: numbers.put(array, np.zeros(1), np.array([tops[key]]), "u1") for key, array in values.items()
+            },
         }
         runs.append(run)
     lower, upper = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
@@ -215,7 +217,7 @@ def coloured(key: str, top: float, materials: Sequence[Material]) -> dict[str, A
         stops = [[at, to_hex(map_(at))] for at in np.linspace(0.0, 1.0, STOPS).tolist()]
         return {"name": name, "title": given.title, "low": 0.0, "high": top, "scale": stops, "ticks": {}}
     stops = [[(index + end) / count, to_hex(map_(index % map_.N))] for index in range(count) for end in (0, 1)]
-    ticks = {"tickvals": list(range(count)), "ticktext": [f"{each.friction_deg:g}°" for each in materials]}
+    ticks = {"tickvals": list(range(count)), "ticktext": [f"{material.friction_deg:g}°" for material in materials]}
     ends = {"low": -0.5, "high": count - 0.5}
     return {"name": name, "title": given.title, **ends, "scale": stops, "ticks": ticks}
 
@@ -226,15 +228,17 @@ def still(scenes: Sequence[Scene]) -> dict[str, Any]:
     Of a second scene what the first does not have; no second terrain.
     """
     scene, parts, ground = scenes[0], [], None
-    known = set(solids_of(scene)[0])
-    for index, each in enumerate(scenes):
-        for number, (solid, key) in enumerate(zip(*solids_of(each), strict=True)):
-            if solid.kind == "terrain" or (index > 0 and solid in known):
+    first_solids = set(solids_of(scene)[0])
+    for index, current in enumerate(scenes):
+        for number, (solid, key) in enumerate(zip(*solids_of(current), strict=True)):
+            if solid.kind == "terrain" or (index > 0 and solid in first_solids):
                 continue
-            body = closed_body(solid, key, each.domain)
-            corners = body.vertices if each.dimension == 3 else body.vertices[[*range(len(body.vertices)), 0]]
+            body = closed_body(solid, key, current.domain)
+            corners = body.vertices if current.dimension == 3 else body.vertices[[*range(len(body.vertices)), 0]]
             part = dict(zip("xyz", corners.T.tolist(), strict=False)) | {"faces": body.faces.T.tolist()}
-            parts.append(part | {"kind": "second" if index else "baffle" if number < len(each.baffles) else "ground"})
+            parts.append(
+                part | {"kind": "second" if index else "baffle" if number < len(current.baffles) else "ground"}
+            )
     if any(solid.kind == "terrain" for solid in scene.solids):
         spacing = max(scene.domain.cell, max(scene.domain.size) / NODES)
         heights = ground_raster(scene, spacing)[0]
@@ -246,8 +250,8 @@ def still(scenes: Sequence[Scene]) -> dict[str, Any]:
 def about(shown: Sequence[Shown], labels: Sequence[str], times: NDArray[np.float64]) -> str:
     """What is on a page, and what of the flows is not, in sentences."""
     scene, parts = shown[0].flow.scene, []
-    for each, label in zip(shown, labels, strict=False):
-        count, drawn = each.flow.positions.shape[1], len(each.particles)
+    for view, label in zip(shown, labels, strict=False):
+        count, drawn = view.flow.positions.shape[1], len(view.particles)
         what = f"{count:,} particles" if drawn == count else f"{drawn:,} of {count:,} particles, drawn at random"
         parts.append(f"{label}: {what}" if len(shown) > 1 else what)
     every = len(shown[0].flow.time)
@@ -255,5 +259,7 @@ def about(shown: Sequence[Shown], labels: Sequence[str], times: NDArray[np.float
     if scene.slope_deg:
         parts.append(f"the box is drawn level, gravity is inclined by {scene.slope_deg:g}°")
     if scene.domain.origin is not None:
-        parts.append(f"lengths count from {', '.join(f'{each:.10g}' for each in scene.domain.origin)} m on the map")
+        parts.append(
+            f"lengths count from {', '.join(f'{coordinate:.10g}' for coordinate in scene.domain.origin)} m on the map"
+        )
     return "; ".join(parts) + "."

@@ -40,13 +40,13 @@ def read_points(path: Path, crs: str | None, low: Floats, high: Floats) -> Float
         inside = ((rows[:, :2] > low) & (rows[:, :2] < high)).all(axis=1)
         places.append(rows[inside])
         kinds.append(classes[inside])
-    found, classified = np.concatenate(places), np.concatenate(kinds) == GROUND
-    found = found[classified] if classified.any() else found
+    points, classified = np.concatenate(places), np.concatenate(kinds) == GROUND
+    points = points[classified] if classified.any() else points
     box = ", ".join(f"{first:.10g} to {last:.10g}" for first, last in zip(low, high, strict=True))
     with naming(path):
-        require(len(found) > 0, "", f"points within the box, {box}", "none")
-        require(bool(np.isfinite(found).all()), "", "finite elevations", "others")
-    return found
+        require(len(points) > 0, "", f"points within the box, {box}", "none")
+        require(bool(np.isfinite(points).all()), "", "finite elevations", "others")
+    return points
 
 
 def portions(path: Path, crs: str | None) -> Iterator[tuple[Floats, NDArray[np.int64]]]:

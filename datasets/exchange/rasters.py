@@ -228,13 +228,13 @@ def check_lengths(crs: Any, east: float, north: float) -> None:
 def known_system(crs: str) -> str:
     """The name of a reference system that a user gave. Raises InputError unless it is a projected one in metres."""
     try:
-        found = CRS.from_user_input(crs)
+        system = CRS.from_user_input(crs)
     except CRSError:
-        found = None
-    unit = "" if found is None else "degrees" if found.is_geographic else str(found.linear_units)
-    metres = found is not None and unit.lower() in METRES[1:] and not height_unit(found)
+        system = None
+    unit = "" if system is None else "degrees" if system.is_geographic else str(system.linear_units)
+    metres = system is not None and unit.lower() in METRES[1:] and not height_unit(system)
     require(metres, "crs", "a projected coordinate system in metres, such as 'EPSG:2056'", repr(shortened(crs, 60)))
-    return crs if found is None else str(found.to_string())
+    return crs if system is None else str(system.to_string())
 
 
 def same_system(name: str | None, raster: Raster) -> bool:

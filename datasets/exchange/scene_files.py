@@ -86,24 +86,24 @@ class Reader:
                     vertices, triangles = read_mesh(path)
                     vertices = scale * vertices + np.array(at or [0.0, 0.0, 0.0], np.float64)
                     vertices, triangles = outward(vertices, triangles, "")
-                    found = {"vertices": vertices.tolist(), "triangles": triangles.tolist()}
+                    content = {"vertices": vertices.tolist(), "triangles": triangles.tolist()}
                 elif kind == INFLOW:
                     require(at is None, f"{key}.at", "no such key beside a hydrograph", "one")
                     columns = read_columns(path, ("time", "discharge", "speed"))
                     rows = [columns[name] for name in ("time", "discharge", "speed")]
-                    found = {"hydrograph": np.stack(rows, axis=1).tolist()}
+                    content = {"hydrograph": np.stack(rows, axis=1).tolist()}
                 elif len(self.size) == 3:
-                    found = self.field(path, at, "heights" if kind == "terrain" else name)
+                    content = self.field(path, at, "heights" if kind == "terrain" else name)
                 elif kind in ("terrain", WATER):
                     columns = read_columns(path, ("x", "y"), ("friction",))
                     points = np.stack([columns["x"], columns["y"]], axis=1) + np.array(at or (0.0, 0.0))
-                    found = {"points" if kind == "terrain" else name: points.tolist()}
+                    content = {"points" if kind == "terrain" else name: points.tolist()}
                     if "friction" in columns:
-                        found["friction"] = columns["friction"].tolist()
+                        content["friction"] = columns["friction"].tolist()
                 else:
                     raise InputError("expected a number; a raster only of a layer in 3D")
-            refuse(entry, tuple(found), key, "no such key beside a file that has it")
-            entry |= found
+            refuse(entry, tuple(content), key, "no such key beside a file that has it")
+            entry |= content
         refuse(entry, ("scale", "at"), key)
         for name in BED if kind == "terrain" and len(self.size) == 3 else ():
             if isinstance(entry.get(name), str):
@@ -130,7 +130,7 @@ class Reader:
             raise InputError("expected a terrain with heights on a grid beneath it, got none")
         posts, _ = ground
         grid = zip(posts, (raster.x, raster.z), shift, raster.spacing, strict=True)
-        axes = [(post - moved - own[0]) / step for post, own, moved, step in grid]
+        axes = [(post - moved - centres[0]) / step for post, centres, moved, step in grid]
         places = np.array(np.meshgrid(*axes, indexing="ij"))
         values = map_coordinates(raster.values, places, order=1, mode="nearest")
         # Beside a hole that of its own cell.
@@ -174,10 +174,10 @@ class Reader:
             axes = [axis[part] for axis, part in zip(axes, ranges, strict=True)]
             values = values[ranges[0], ranges[1]]
         origin = [float(axis[0]) for axis in axes]
-        found: Entry = {"origin": origin, "spacing": list(raster.spacing), name: values.tolist()}
+        entry: Entry = {"origin": origin, "spacing": list(raster.spacing), name: values.tolist()}
         if terrain and self.lower is None:
-            found |= {"corner": [-offset[0], -offset[1]], "crs": raster.crs}
-        return found
+            entry |= {"corner": [-offset[0], -offset[1]], "crs": raster.crs}
+        return entry
 
     def around_box(self, axes: list[Floats], values: Floats) -> tuple[list[Floats], Floats]:
         """What of a terrain [X, Z] lies in and around the box, two values an axis at least; there without holes.

@@ -57,7 +57,7 @@ def read_columns(
     text = read_text(path, "a CSV", windows=True)
     with reading(path, "a readable CSV"):
         lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line[:1] != "#"]
-        lines = [each for each in lines if blanks or each[1].strip()]
+        lines = [entry for entry in lines if blanks or entry[1].strip()]
         while lines and not lines[0][1].strip():
             lines = lines[1:]
         if lines and (stated := re.fullmatch(r"sep=(.)", lines[0][1].strip(), re.IGNORECASE)):
@@ -127,10 +127,12 @@ def numbers(
         commas = any(DECIMAL_COMMA.fullmatch(cells[place]) for place in places if place < len(cells))
         cells = [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
     try:
-        found = [float(cells[place] or ("nan" if blanks else "")) for place in places] if len(cells) == count else []
+        values = [float(cells[place] or ("nan" if blanks else "")) for place in places] if len(cells) == count else []
     except ValueError:
-        found = []
-    if len(found) < len(places) or not all(abs(value) <= FARTHEST or (blanks and math.isnan(value)) for value in found):
+        values = []
+    if len(values) < len(places) or not all(
+        abs(value) <= FARTHEST or (blanks and math.isnan(value)) for value in values
+    ):
         got = f"{separator.join(row).strip()[:40]!r}"
         raise InputError(f"expected {count} values in line {line}, all of them finite, got {got}")
-    return found, commas
+    return values, commas

@@ -42,24 +42,26 @@ class Feature(NamedTuple):
 
 def read_polygons(path: Path, crs: str | None) -> list[Feature]:
     """The polygons of a file, each of several in a feature by itself, in the reference system `crs` (`read_shapes`)."""
-    found: dict[str, list[Feature]] = {}
+    by_layer: dict[str, list[Feature]] = {}
     for place, named, layer in read_shapes(path, crs, "polygons"):
         polygons = [part for part in shapely.get_parts(place) if part.geom_type == "Polygon" and not part.is_empty]
-        found.setdefault(layer, []).extend(Feature(each, named) for each in polygons)
-    layers = [layer for layer, polygons in found.items() if polygons]
+        by_layer.setdefault(layer, []).extend(Feature(polygon, named) for polygon in polygons)
+    layers = [layer for layer, polygons in by_layer.items() if polygons]
     require(len(layers) > 0, "", "polygons", "none")
     require(len(layers) == 1, "", f"polygons in one layer, or FILE{LAYER}NAME", f"them in {', '.join(layers)}")
-    features = found[layers[0]]
-    require(all(each.polygon.is_valid for each in features), "", "polygons that do not cross themselves", "others")
+    features = by_layer[layers[0]]
+    require(
+        all(feature.polygon.is_valid for feature in features), "", "polygons that do not cross themselves", "others"
+    )
     return features
 
 
 def read_bounds(path: Path, crs: str | None) -> tuple[float, float, float, float]:
     """West, south, east and north end [m] of all polygons, lines and points of a file (`read_shapes`)."""
     with naming(path):
-        found = shapely.total_bounds([place for place, *_ in read_shapes(path, crs, "polygons, lines or points")])
-        require(bool(np.isfinite(found).all()), "", "polygons, lines or points", "none")
-    west, south, east, north = map(float, found)
+        bounds = shapely.total_bounds([place for place, *_ in read_shapes(path, crs, "polygons, lines or points")])
+        require(bool(np.isfinite(bounds).all()), "", "polygons, lines or points", "none")
+    west, south, east, north = map(float, bounds)
     return west, south, east, north
 
 
@@ -78,12 +80,12 @@ def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Ge
     pattern = BEGINNINGS.get(path.suffix.lower())
     require(pattern is not None, "", f"a file whose name ends in {' '.join(BEGINNINGS)}", repr(path.suffix))
     with path.open("rb") as raw:
-        known = re.match(pattern or b"", raw.read(4096), re.DOTALL) is not None
-    require(known, "", f"a file as its ending {path.suffix} says", "another one")
+        fits = re.match(pattern or b"", raw.read(4096), re.DOTALL) is not None
+    require(fits, "", f"a file as its ending {path.suffix} says", "another one")
     with reading(path, what):
         layers = [str(layer) for layer, kind in pyogrio.list_layers(path.resolve()) if kind is not None]
     require(not chosen or chosen in layers, "", f"one of the layers {', '.join(layers)}", repr(chosen))
-    return [each for layer in ([chosen] if chosen else layers) for each in shapes_of(path, layer, crs, what)]
+    return [shape for layer in ([chosen] if chosen else layers) for shape in shapes_of(path, layer, crs, what)]
 
 
 def shapes_of(
@@ -111,7 +113,7 @@ def shapes_of(
 
 def projected(rows: Any, system: str, crs: str) -> Any:
     """Places [N, 2] of one reference system in another one. Raises RasterioError where they have none there."""
-    found = np.stack(reprojected(system, crs, rows[:, 0], rows[:, 1]), axis=1)
-    if not np.isfinite(found).all():
+    places = np.stack(reprojected(system, crs, rows[:, 0], rows[:, 1]), axis=1)
+    if not np.isfinite(places).all():
         raise RasterioError("they have no place there")
-    return found
+    return places

@@ -98,8 +98,8 @@ def edges(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyDat
     given, flat = len(size), 3 - len(size)
     dimensions, spacing, origin = (2,) * given + (1,) * flat, (*size, *(1,) * flat), (*lower, *(0,) * flat)
     box: Any = pyvista.ImageData(dimensions=dimensions, spacing=spacing, origin=origin)
-    found: pyvista.PolyData = box.extract_all_edges()
-    return found
+    lines: pyvista.PolyData = box.extract_all_edges()
+    return lines
 
 
 def extent(scene: Scene, positions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -110,7 +110,7 @@ def extent(scene: Scene, positions: NDArray[Any]) -> tuple[NDArray[Any], NDArray
     """
     size = np.array(scene.domain.size)
     boxes: list[Mass | Baffle] = [*scene.masses, *scene.baffles]
-    corners = [np.array(each.lower) for each in boxes] + [np.add(each.lower, each.size) for each in boxes]
+    corners = [np.array(box.lower) for box in boxes] + [np.add(box.lower, box.size) for box in boxes]
     for solid in scene.solids:
         if solid.lower is not None and solid.size is not None:
             corners += [np.array(solid.lower), np.add(solid.lower, solid.size)]

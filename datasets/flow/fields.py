@@ -72,8 +72,8 @@ class FlowFields:
     def start(self) -> NDArray[np.float64]:
         """Positions at the start [m], shape [N, D]; the first frame's where the start was not kept and is not known."""
         first = np.asarray(self.trajectory.positions[0], np.float64)
-        known = first if self.trajectory.time[0] == 0.0 else initial_particles(self.trajectory.scene).positions
-        return known if known.shape == first.shape else first
+        initial = first if self.trajectory.time[0] == 0.0 else initial_particles(self.trajectory.scene).positions
+        return initial if initial.shape == first.shape else first
 
     @cached_property
     def material(self) -> NDArray[np.int32]:
@@ -89,8 +89,8 @@ class FlowFields:
             return np.array(of_masses, np.int32)[self.trajectory.mass]
         if len(self.materials) == 1:
             return np.zeros(len(self.start), np.int32)
-        own = initial_particles(scene)
-        return np.asarray(own.material[cKDTree(own.positions).query(self.start)[1]])
+        particles = initial_particles(scene)
+        return np.asarray(particles.material[cKDTree(particles.positions).query(self.start)[1]])
 
     @property
     def spacing(self) -> float:
@@ -110,8 +110,8 @@ class FlowFields:
             return trajectory.velocity0 if trajectory.time[0] == 0.0 else None
         after, before = min(frame + 1, len(trajectory.time) - 1), frame - 1
         elapsed = trajectory.time[after] - trajectory.time[before]
-        found = np.asarray((trajectory.positions[after] - trajectory.positions[before]) / elapsed, np.float32)
-        return np.where(trajectory.entered(float(trajectory.time[before]))[:, None], found, trajectory.velocity0)
+        differences = np.asarray((trajectory.positions[after] - trajectory.positions[before]) / elapsed, np.float32)
+        return np.where(trajectory.entered(float(trajectory.time[before]))[:, None], differences, trajectory.velocity0)
 
     def at_frame(self, frame: int) -> Values:
         """All that is known of the particles at `frame` besides their positions."""
@@ -132,7 +132,7 @@ class FlowFields:
         Linear between frames; beyond them the first one's or the last one's.
         """
         flow = self.trajectory
-        (before,), (share,) = (each.tolist() for each in brackets(flow.time, np.array([time])))
+        (before,), (share,) = (bracket.tolist() for bracket in brackets(flow.time, np.array([time])))
         first, second = (
             {"position": np.asarray(flow.positions[frame])} | self.at_frame(frame) if weight > 0.0 else {}
             for frame, weight in ((before, 1.0 - share), (before + 1, share))
@@ -154,13 +154,13 @@ def pairs(one: FlowFields, other: FlowFields) -> tuple[NDArray[np.int64], NDArra
     """
     from scipy.spatial import cKDTree
 
-    few, many = sorted((one, other), key=lambda each: len(each.start))
-    own = nearest = np.arange(len(few.start))
+    few, many = sorted((one, other), key=lambda flow: len(flow.start))
+    indices = nearest = np.arange(len(few.start))
     if len(few.start) == len(many.start):
         apart = float(np.linalg.norm(few.start - many.start, axis=1).max())
     else:
         distance, nearest = cKDTree(many.start).query(few.start)
-        apart = 2.0 * float(distance.max()) if len(np.unique(nearest)) == len(own) else np.inf
+        apart = 2.0 * float(distance.max()) if len(np.unique(nearest)) == len(indices) else np.inf
     if not apart <= many.spacing:
         return None
-    return (own, nearest) if few is one else (nearest, own)
+    return (indices, nearest) if few is one else (nearest, indices)

@@ -233,29 +233,29 @@ class Errors:
 
 def amounts(errors: Sequence[Errors]) -> dict[str, float]:
     """Mean amount of each of the errors, by its name; nan where none is known."""
-    values = {name: np.abs(each) for name, (each, _) in columns(errors).items()}
-    return {name: float(each.mean()) if len(each) else math.nan for name, each in values.items()}
+    values = {name: np.abs(signed) for name, (signed, _) in columns(errors).items()}
+    return {name: float(amount.mean()) if len(amount) else math.nan for name, amount in values.items()}
 
 
 def summary(errors: Sequence[Errors]) -> dict[str, str]:
     """The same by its title in words, with the worst of them: `1.2 % (+3.4)`; a dash where none is known."""
-    found = {}
-    for each, about in columns(errors).values():
+    texts = {}
+    for values, about in columns(errors).values():
         factor, words = FACTORS[about["unit"]], "-"
-        if len(each):
-            worst = each[np.abs(each - about["exact"]).argmax()]
-            words = f"{factor * np.abs(each).mean():.1f} {about['unit']} ({factor * worst:{about['sign']}.1f})"
-        found[about["title"]] = words
-    return found
+        if len(values):
+            worst = values[np.abs(values - about["exact"]).argmax()]
+            words = f"{factor * np.abs(values).mean():.1f} {about['unit']} ({factor * worst:{about['sign']}.1f})"
+        texts[about["title"]] = words
+    return texts
 
 
 def columns(errors: Sequence[Errors]) -> dict[str, tuple[Floats, Mapping[str, Any]]]:
     """The known values of each of the errors, shape [n], and what `error` says of it, by its name."""
-    found: dict[str, tuple[Floats, Mapping[str, Any]]] = {}
-    for column in (each for each in fields(errors[0]) if each.metadata):
-        values = np.array([getattr(each, column.name) for each in errors])
-        found[column.name] = values[~np.isnan(values)], column.metadata
-    return found
+    by_name: dict[str, tuple[Floats, Mapping[str, Any]]] = {}
+    for column in (column for column in fields(errors[0]) if column.metadata):
+        values = np.array([getattr(record, column.name) for record in errors])
+        by_name[column.name] = values[~np.isnan(values)], column.metadata
+    return by_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,17 +304,19 @@ class Deposit:
         beyond = ends(positions, volume)[self.side] - self.front
         apart = transport_distance(positions, volume, self.positions, self.volume)
         deposits = ((self.positions, self.volume), (positions, volume))
-        raised = [above(each, self.ground) for each, _ in deposits]
-        spacings = [particle_spacing(each, len(self.size)) for _, each in deposits]
+        raised = [above(places, self.ground) for places, _ in deposits]
+        spacings = [particle_spacing(volumes, len(self.size)) for _, volumes in deposits]
         column = COLUMN * max(spacings)
-        own, other = (thickness(*each, column, self.size[::2]) for each in zip(raised, spacings, strict=True))
+        reference, other = (
+            thickness(*deposit, column, self.size[::2]) for deposit in zip(raised, spacings, strict=True)
+        )
         height = mean_height(raised[0], self.volume)
         return Errors(
             front=(beyond if self.side == 1 else -beyond) / self.extent,
             profile=apart / self.extent,
             height=mean_height(raised[1], volume) / height - 1.0,
-            thickness=thickness_apart(own, other) / (float(own.max()) or max(spacings)),
-            overlap=overlap(own, other),
+            thickness=thickness_apart(reference, other) / (float(reference.max()) or max(spacings)),
+            overlap=overlap(reference, other),
         )
 
 

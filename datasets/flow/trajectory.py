@@ -113,8 +113,8 @@ class Trajectory:
 
     def arrays(self) -> dict[str, NDArray[Any] | str]:
         """What a file holds besides the positions: the fields that there are; `scene` and `summary` as JSON."""
-        found = {key: getattr(self, key) for key in STORED}
-        stored = {key: array.astype(STORED[key][0], copy=False) for key, array in found.items() if array is not None}
+        values = {key: getattr(self, key) for key in STORED}
+        stored = {key: array.astype(STORED[key][0], copy=False) for key, array in values.items() if array is not None}
         return {**stored, "scene": self.scene.to_json(), "summary": json.dumps(self.summary)}
 
     def save(self, path: str | Path) -> None:
@@ -122,7 +122,7 @@ class Trajectory:
         path, arrays = Path(path), self.arrays()
         if path.suffix != HDF5:
             positions = np.asarray(self.positions, np.float32)
-            write_npz(path, {"positions": positions, **{key: np.asarray(each) for key, each in arrays.items()}})
+            write_npz(path, {"positions": positions, **{key: np.asarray(array) for key, array in arrays.items()}})
             return
         with FrameWriter(path) as file:
             for frame in range(len(self.time)):
@@ -172,16 +172,16 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
     for key in REQUIRED:
         require(key in arrays, key, "an array", "none: the key is missing")
     positions, scene = arrays["positions"], Scene.from_json(str(arrays["scene"]))
-    known = positions.ndim == 3 and positions.shape[2] in (2, 3) and positions.size > 0
-    require(known, "positions", "shape [T, N, 2 or 3], at least one frame of one particle", positions.shape)
+    fits = positions.ndim == 3 and positions.shape[2] in (2, 3) and positions.size > 0
+    require(fits, "positions", "shape [T, N, 2 or 3], at least one frame of one particle", positions.shape)
     frames, particles, dimension = positions.shape
     sizes = {"T": frames, "N": particles, "D": dimension, "S": 2 * dimension, "B": len(solid_names(scene))}
     for key, (kind, axes) in {"positions": (np.float32, "TND"), **STORED}.items():
         if key in arrays:
-            shape, found = tuple(sizes[axis] for axis in axes), arrays[key]
-            require(found.shape == shape, key, f"shape {shape}", found.shape)
+            shape, array = tuple(sizes[axis] for axis in axes), arrays[key]
+            require(array.shape == shape, key, f"shape {shape}", array.shape)
             expected, parent = ("integers", np.integer) if kind is np.int32 else ("floating-point numbers", np.floating)
-            require(np.issubdtype(found.dtype, parent), key, expected, found.dtype)
+            require(np.issubdtype(array.dtype, parent), key, expected, array.dtype)
     require(scene.dimension == dimension, "positions", f"{scene.dimension}D positions as in the scene", f"{dimension}D")
     for key in ("velocity0",) if lazily else ("velocity0", "positions"):
         require(bool((np.abs(arrays[key]) < FARTHEST).all()), key, "finite numbers", "others")
@@ -194,9 +194,9 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
     if (entry := arrays.get("entry_time")) is not None:
         require(bool(np.isfinite(entry).all()), "entry_time", "finite times", "others")
     if mass is not None:
-        known = bool(mass.min() >= 0 and mass.max() < len(scene.masses))
+        fits = bool(mass.min() >= 0 and mass.max() < len(scene.masses))
         expected = f"the index of one of {len(scene.masses)} masses for each of {particles} particles"
-        require(known, "mass", expected, "others")
+        require(fits, "mass", expected, "others")
     summary = json_object(str(arrays.get("summary", "{}")), "summary")
     return Trajectory(
         positions=positions if lazily and positions.dtype == np.float32 else np.asarray(positions, np.float32),
@@ -230,8 +230,8 @@ def trajectory_file(path: str | Path) -> Path:
     path = Path(path)
     if not path.is_dir():
         return path
-    found = path / f"trajectory{HDF5}"
-    return found if found.exists() else path / "trajectory.npz"
+    candidate = path / f"trajectory{HDF5}"
+    return candidate if candidate.exists() else path / "trajectory.npz"
 
 
 def trajectory_files(folder: Path) -> list[Path]:

@@ -89,9 +89,9 @@ def with_boxes(scene: SceneLayout) -> tuple[Mass, ...]:
     masses = []
     for key, mass in keyed(scene, "masses").items():
         if mass.kind != "box":
-            found = filling(scene, mass, key)
-            size = tuple((found.upper - found.lower).tolist())
-            mass = dataclasses.replace(mass, lower=tuple(found.lower.tolist()), size=size)
+            filled = filling(scene, mass, key)
+            size = tuple((filled.upper - filled.lower).tolist())
+            mass = dataclasses.replace(mass, lower=tuple(filled.lower.tolist()), size=size)
         masses.append(mass)
     return tuple(masses)
 
@@ -100,7 +100,9 @@ def filling(scene: SceneLayout, mass: Mass, key: str = "masses") -> Filling:
     """The particles that fill a mass of `scene` that is no box. Raises InputError."""
     shape = dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None)
     # Without friction, so that scenes which differ by that alone share what is found.
-    bare = (dataclasses.replace(each, friction=0.0, turbulence=None) for each in scene.solids if each.kind == "terrain")
+    bare = (
+        dataclasses.replace(solid, friction=0.0, turbulence=None) for solid in scene.solids if solid.kind == "terrain"
+    )
     ground = tuple(bare) if mass.kind in ("layer", INFLOW) else ()
     if mass.kind == INFLOW and mass.hydrograph is not None:
         shape = dataclasses.replace(shape, hydrograph=until(mass.hydrograph, scene.duration, f"{key}.hydrograph"))
@@ -112,35 +114,35 @@ def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, ke
     """The particles of `mass` on a lattice of about `share` [m]. Raises InputError."""
     check_shape(mass, key, domain.dimension)
     if mass.kind == "layer":
-        found = layer(mass, domain, ground, share, key)
+        filled = layer(mass, domain, ground, share, key)
     elif mass.kind == INFLOW:
-        found = entering(mass, domain, ground, share, key)
+        filled = entering(mass, domain, ground, share, key)
     else:
         # Before it is filled: a mesh in millimetres would be a billion times as large.
         low, high = np.min(np.array(mass.vertices), axis=0), np.max(np.array(mass.vertices), axis=0)
         inside = bool((low >= -TOLERANCE).all() and (high <= np.array(domain.size) + TOLERANCE).all())
         expected = f"a {mass.kind} inside the domain {list(domain.size)}"
         require(inside, key, expected, f"one from {low.tolist()} to {high.tolist()}")
-        found = (polygon if mass.kind == "polygon" else mesh)(mass, share, key)
-    require(len(found.lattice) > 0, key, f"a body that a lattice of {share:g} m puts particles into", "one without")
-    return found
+        filled = (polygon if mass.kind == "polygon" else mesh)(mass, share, key)
+    require(len(filled.lattice) > 0, key, f"a body that a lattice of {share:g} m puts particles into", "one without")
+    return filled
 
 
 def entering(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
     """What flows in, where it enters; the box around it is as long as it is deep."""
-    found = inflow(mass, domain, ground, share, key)
-    places, size = found.places(), np.array(domain.size)
+    inlet = inflow(mass, domain, ground, share, key)
+    places, size = inlet.places(), np.array(domain.size)
     inside = bool((places >= -TOLERANCE).all() and (places <= size + TOLERANCE).all())
     got = f"places from {places.min(axis=0).tolist()} to {places.max(axis=0).tolist()}"
     require(inside, key, f"a section inside the domain {size.tolist()} up to its greatest depth", got)
-    around = np.concatenate([places, places + found.depth * found.flow[: len(size)]]).clip(0.0, size)
+    around = np.concatenate([places, places + inlet.depth * inlet.flow[: len(size)]]).clip(0.0, size)
     lower, spacing = np.minimum(around.min(axis=0), size - share), np.full(len(size), share)
     box: dict[str, Any] = {"lower": lower, "upper": np.maximum(around.max(axis=0), lower + share)}
     nothing: dict[str, Any] = {
         "contains": lambda places: places[:, 0] >= 0.0,
         "cover": lambda places: 0.0 * places[:, 0],
     }
-    return Filling(lattice=places, spacing=spacing, volume=found.volume, **box, **nothing, inflow=found)
+    return Filling(lattice=places, spacing=spacing, volume=inlet.volume, **box, **nothing, inflow=inlet)
 
 
 def polygon(mass: Mass, share: float, key: str) -> Filling:
@@ -174,9 +176,9 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     buried = ndimage.binary_erosion(within.reshape(counts), np.ones((3, 3, 3)), border_value=False).ravel()[within]
 
     def contains(places: Floats) -> NDArray[np.bool_]:
-        found: NDArray[np.bool_] = buried.copy()
-        found[~buried] = inside(boundary([body], 0.0), places[~buried])
-        return found
+        contained: NDArray[np.bool_] = buried.copy()
+        contained[~buried] = inside(boundary([body], 0.0), places[~buried])
+        return contained
 
     lattice, volume = lattice[within], manifold(vertices, triangles).volume()
     return Filling(lattice=lattice, spacing=spacing, volume=volume, lower=lower, upper=upper, contains=contains)
@@ -312,8 +314,8 @@ def lattice_of(scene: SceneLayout, mass: Mass) -> Floats:
     if mass.kind == "box":
         lower = np.array(mass.lower)
         return lattice_in(lower, lower + np.array(mass.size), scene.particle_spacing)[0]
-    found = filling(scene, mass)
-    return found.raised(found.lattice)
+    filled = filling(scene, mass)
+    return filled.raised(filled.lattice)
 
 
 def lattice_in(lower: Floats, upper: Floats, share: float) -> tuple[Floats, Floats]:

@@ -74,9 +74,9 @@ def pseudonormals(vertices: Floats, faces: Integers) -> tuple[Floats, Floats, Fl
 
 def snapped(vertices: Floats, axis: int, limit: float) -> Floats:
     """Vertices [V, D], those that all but lie on a side of the box on it."""
-    found = vertices.copy()
-    found[np.abs(found[:, axis] - limit) <= TOUCHING, axis] = limit
-    return found
+    moved = vertices.copy()
+    moved[np.abs(moved[:, axis] - limit) <= TOUCHING, axis] = limit
+    return moved
 
 
 def outside_of_box(body: Body) -> InputError:

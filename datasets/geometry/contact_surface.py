@@ -122,12 +122,12 @@ def contact_surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[st
     if not others:
         return ContactSurface(faces=Surface.empty(3), field=field)
     bodies = [body_of(solids[index], keys[index], domain) for index in others]
-    found = boundary(bodies, CLOSING * domain.cell)
-    kept = near_box(found, domain)
-    down = np.flatnonzero(kept & (found.normals[:, 1] < DOWNWARD))
-    kept[down] = ~in_ground(found.corners[down], field, domain)
-    found = found.chosen(kept)
-    faces = without_slip(replace(found, solid=np.array(others, np.int32)[found.solid]), solids)
+    surface = boundary(bodies, CLOSING * domain.cell)
+    kept = near_box(surface, domain)
+    down = np.flatnonzero(kept & (surface.normals[:, 1] < DOWNWARD))
+    kept[down] = ~in_ground(surface.corners[down], field, domain)
+    surface = surface.chosen(kept)
+    faces = without_slip(replace(surface, solid=np.array(others, np.int32)[surface.solid]), solids)
     return ContactSurface(faces=faces, field=field)
 
 

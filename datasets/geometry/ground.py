@@ -57,13 +57,13 @@ def ground_raster(scene: SceneLayout, spacing: float) -> tuple[Floats, Floats, I
 
 def turbulence_raster(scene: SceneLayout, spacing: float) -> Floats | None:
     """1 / xi [s^2/m] of the highest terrain at the same places, 0 where it has no turbulence; None where none has."""
-    if all(each.turbulence is None for each in scene.solids):
+    if all(solid.turbulence is None for solid in scene.solids):
         return None
     drags = []
-    for each in scene.solids:
-        drag = np.array(0.0 if each.turbulence is None else 1.0 / np.array(each.turbulence))
+    for solid in scene.solids:
+        drag = np.array(0.0 if solid.turbulence is None else 1.0 / np.array(solid.turbulence))
         # As a friction it is interpolated as that is.
-        drags.append(replace(each, friction=tuple(map(tuple, drag.tolist())) if drag.ndim else float(drag)))
+        drags.append(replace(solid, friction=tuple(map(tuple, drag.tolist())) if drag.ndim else float(drag)))
     return ground_raster(replace(scene, solids=tuple(drags), floor_friction=0.0), spacing)[1]
 
 
@@ -79,10 +79,10 @@ def highest(
         if solid.kind != "terrain":
             continue
         axes, heights, rough = ground_grid(solid, f"solids[{index}]", domain)
-        own, mu = interpolated(axes, heights, plan), interpolated(axes, rough, plan)
-        higher = own >= height
+        level, mu = interpolated(axes, heights, plan), interpolated(axes, rough, plan)
+        higher = level >= height
         friction, top = np.where(higher, mu, friction), np.where(higher, index, top)
-        height = np.maximum(height, own)
+        height = np.maximum(height, level)
     return height, friction, top
 
 
@@ -157,7 +157,7 @@ def grid_triangles(values: Floats) -> Integers:
     y points up, so z runs to the right of x.
     """
     number = np.arange(values.size).reshape(values.shape)
-    a, b, c, d = (each.ravel() for each in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    a, b, c, d = (corner.ravel() for corner in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     first = first_diagonal(values).ravel()[:, None]
     return np.where(first, np.stack([a, c, b, a, d, c], axis=1), np.stack([a, d, b, b, d, c], axis=1)).reshape(-1, 3)
 

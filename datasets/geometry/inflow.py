@@ -75,9 +75,9 @@ class Inflow:
             passed = np.cumsum(depth, axis=1)
             area = (1.0 - ROUNDING) * shares[part, 0] * passed[:, -1]
             strip = (passed <= area[:, None]).sum(axis=1)
-            own, until_its_end = depth[np.arange(len(strip)), strip], passed[np.arange(len(strip)), strip]
-            across[part] = strip + 1.0 - (until_its_end - area) / own
-            height[part] = self.bed[strip] + shares[part, 1] * own
+            local_depth, until_its_end = depth[np.arange(len(strip)), strip], passed[np.arange(len(strip)), strip]
+            across[part] = strip + 1.0 - (until_its_end - area) / local_depth
+            height[part] = self.bed[strip] + shares[part, 1] * local_depth
         across = (across / len(self.bed) - 0.5) * self.width
         places = (self.foot + across[:, None] * self.along + height[:, None] * self.up)[:, :dimension]
         if self.ground is not None:
@@ -100,7 +100,7 @@ def until(hydrograph: Rows, end: float, key: str) -> Rows:
     require(bool(some), key, f"some discharge before the end at {end:g} s", "none")
     if time[-1] <= end:
         return hydrograph
-    last = [end, *(float(np.interp(end, time, each)) for each in (discharge, speed))]
+    last = [end, *(float(np.interp(end, time, column)) for column in (discharge, speed))]
     return (*map(tuple, rows.T[time < end].tolist()), tuple(last))
 
 
@@ -141,7 +141,7 @@ def inflow(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, 
     heights = np.sort(bed)
     heights = np.append(heights, heights[-1] + area.max() / width)
     areas = np.append(0.0, np.cumsum(width / strips * np.arange(1, strips + 1) * np.diff(heights)))
-    found = Inflow(
+    inlet = Inflow(
         domain=domain,
         ground=ground if grounded else None,
         hydrograph=hydrograph,
@@ -152,8 +152,8 @@ def inflow(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, 
         width=width,
     )
     expected = f"a depth, discharge over speed and width, of at least a particle, {share:.3g} m"
-    require(found.depth >= share, f"{key}.hydrograph", expected, f"{found.depth:.3g} m at most")
-    return found
+    require(inlet.depth >= share, f"{key}.hydrograph", expected, f"{inlet.depth:.3g} m at most")
+    return inlet
 
 
 def foot_of(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> tuple[Floats, bool]:
@@ -197,7 +197,7 @@ def direction_of(
         behind, ahead = (elevation(ground, domain, places) for places in steps)
         flow[1] = float(np.mean(ahead - behind)) / (2.0 * domain.cell)
         level = abs(flow[1]) <= TOLERANCE
-        known = not level or abs(flow[0]) > ASKEW
-        require(known, key, "the direction of the flow through a section on level ground", "none")
+        defined = not level or abs(flow[0]) > ASKEW
+        require(defined, key, "the direction of the flow through a section on level ground", "none")
         flow *= -1.0 if (flow[0] < 0.0 if level else flow[1] > 0.0) else 1.0
     return np.asarray(flow / np.linalg.norm(flow))

@@ -52,9 +52,9 @@ def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest
 def inside(surface: Surface, points: Floats) -> NDArray[np.bool_]:
     """Which `points` [m], shape [N, D], lie in the solid, shape [N]."""
     flat = surface.corners.reshape(-1, surface.dimension)
-    found = np.asarray(((points >= flat.min(axis=0)) & (points <= flat.max(axis=0))).all(axis=1))
-    found[found] = nearest(surface, points[found]).distance < 0.0
-    return found
+    within = np.asarray(((points >= flat.min(axis=0)) & (points <= flat.max(axis=0))).all(axis=1))
+    within[within] = nearest(surface, points[within]).distance < 0.0
+    return within
 
 
 class Search:
@@ -109,7 +109,7 @@ class Search:
 
     def pairs(self, points: Floats, bound: Floats) -> list[tuple[Integers, Integers]]:
         """Points and faces that may lie within `bound` of them, in portions."""
-        found = []
+        portions = []
         for faces, tree, radius in self.classes:
             lists = tree.query_ball_point(points, (bound + radius) * (1.0 + 1.0e-9), return_sorted=False)
             counts = np.fromiter(map(len, lists), np.int64, len(lists))
@@ -121,8 +121,8 @@ class Search:
                     # A face lies within its own radius of its centre, most have less than the largest of the class.
                     off = np.linalg.norm(points[point] - self.centres[members], axis=1)
                     kept = off <= (bound[point] + self.radii[members]) * (1.0 + 1.0e-9)
-                    found.append((point[kept], members[kept]))
-        return found
+                    portions.append((point[kept], members[kept]))
+        return portions
 
 
 def normals_at(surface: Surface, face: Integers, weights: Floats) -> Floats:

@@ -26,7 +26,7 @@ def check_overlaps(scene: SceneLayout) -> None:
     keys, boxes = zip(*keyed(scene, "masses", "baffles").items(), strict=True)
     shared = overlaps(boxes)
     shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of more boxes than one
-    upright = np.array([each.kind == "box" if isinstance(each, Mass) else each.turned_deg == 0.0 for each in boxes])
+    upright = np.array([box.kind == "box" if isinstance(box, Mass) else box.turned_deg == 0.0 for box in boxes])
     for first, second in np.argwhere(shared & np.outer(upright, upright)):
         raise InputError(f"expected a box clear of {keys[first]}, got an overlap", key=keys[second])
     if not has_shapes(scene):
@@ -99,7 +99,7 @@ def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> boo
     b = closed_body(second, key, domain) if domain.dimension == 2 else body_near(second, key, domain, a.vertices)
     if domain.dimension == 2:
         return bool(shapely.Polygon(a.vertices).buffer(-margin).intersects(shapely.Polygon(b.vertices)))
-    solid, other = (manifold(each.vertices, each.faces) for each in (a, b))
+    solid, other = (manifold(body.vertices, body.faces) for body in (a, b))
     return bool((solid ^ other).volume() > margin * solid.surface_area())
 
 
@@ -121,7 +121,7 @@ def remembers_gaps(scene: SceneLayout) -> bool:
     if scene.volume_correction is not None:
         return scene.volume_correction
     thrown = any(mass.kind == INFLOW or np.any(mass.velocity) or np.any(mass.angular_velocity) for mass in scene.masses)
-    thrown = thrown or any(np.any(each.values) for each in scene.fields if "velocity" in each.quantity)
+    thrown = thrown or any(np.any(field.values) for field in scene.fields if "velocity" in field.quantity)
     return scene.gravity > 0.0 and (
         thrown
         or bool(scene.solids or scene.baffles)
@@ -171,8 +171,8 @@ def connected(lower: Floats, upper: Floats) -> NDArray[np.int32]:
 def underside(scene: SceneLayout, mass: Mass) -> Floats:
     """Places on the underside of a body [m], shape [N, D]; of one that is no box those under all of its particles."""
     if mass.kind != "box":
-        found = filling(scene, mass)
-        return np.asarray(found.lattice - 0.5 * found.spacing * np.eye(scene.dimension)[1])
+        filled = filling(scene, mass)
+        return np.asarray(filled.lattice - 0.5 * filled.spacing * np.eye(scene.dimension)[1])
     low, size = np.array(mass.lower), np.array(mass.size)
     step = np.maximum(0.5 * scene.domain.cell, size / SAMPLES)
     counts = np.maximum(2, np.rint(size / step).astype(int) + 1)

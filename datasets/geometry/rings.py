@@ -78,8 +78,8 @@ def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Fl
         loops += [np.array(loop.coords)[:-1] for loop in (part.exterior, *part.interiors)]
     # Without points that are closer than rounding to the one before.
     loops = [loop[np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1) > 10.0 * gap] for loop in loops]
-    known = np.concatenate([body.vertices for body in bodies])
-    loops = [split(loop, known, 10.0 * gap) for loop in loops if len(loop) >= 3]
+    corners = np.concatenate([body.vertices for body in bodies])
+    loops = [split(loop, corners, 10.0 * gap) for loop in loops if len(loop) >= 3]
     firsts = np.cumsum([0, *map(len, loops)])
     vertices = np.concatenate(loops)
     faces = np.concatenate([first + ring(len(loop)) for first, loop in zip(firsts, loops, strict=False)])

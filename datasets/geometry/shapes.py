@@ -33,11 +33,11 @@ def usual(number: float) -> bool:
 
 def check_shape(shape: Solid | Mass, key: str, dimension: int) -> None:
     """Raise InputError unless a solid or a mass has the keys that its kind needs and none of another, with a shape."""
-    known = {each: keys for each, keys in KEYS.items() if isinstance(shape, each[0])}
-    own = {kind: keys for (_, kind, axes), keys in known.items() if axes == dimension}
-    require(shape.kind in own, f"{key}.kind", f"{', '.join(own)} in {dimension}D", repr(shape.kind))
-    needed, optional = own[shape.kind]
-    for name in sorted({name for keys in known.values() for part in keys for name in part}):
+    forms = {form: keys for form, keys in KEYS.items() if isinstance(shape, form[0])}
+    kinds = {kind: keys for (_, kind, axes), keys in forms.items() if axes == dimension}
+    require(shape.kind in kinds, f"{key}.kind", f"{', '.join(kinds)} in {dimension}D", repr(shape.kind))
+    needed, optional = kinds[shape.kind]
+    for name in sorted({name for keys in forms.values() for part in keys for name in part}):
         given = getattr(shape, name) is not None
         files = " or a file" * (shape.kind in ("terrain", "mesh", INFLOW))
         expected = f"`{'`, `'.join(needed)}`{files} of a{'n' * (shape.kind == INFLOW)} {shape.kind}"

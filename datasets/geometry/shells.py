@@ -94,8 +94,8 @@ def lengthened_surface(body: Body, axis: int, limit: float, beyond: float) -> Bo
     moved[:, axis] = limit + beyond
     edges = np.stack([lid, np.roll(lid, -1, axis=1)], axis=-1).reshape(-1, 2)
     ends = np.stack([renamed, np.roll(renamed, -1, axis=1)], axis=-1).reshape(-1, 2)
-    known = {tuple(edge) for edge in edges.tolist()}
-    rim = np.array([(b, a) not in known for a, b in edges.tolist()])
+    directed = {tuple(edge) for edge in edges.tolist()}
+    rim = np.array([(b, a) not in directed for a, b in edges.tolist()])
     (a, b), (c, d) = edges[rim].T, ends[rim].T
     skirt = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
     return Body(
@@ -144,7 +144,7 @@ def check_lines(bodies: list[Body], parts: list[manifold3d.Manifold], gap: float
         if (pair[0] ^ pair[1]).is_empty():
             wide, narrow, chosen = 0.5 * near, 2.0 * POINTED, (bodies[first], bodies[second])
             pair = [manifold(grown(body, wide), body.faces) for body in chosen if body.grows]
-            if len(pair) < 2 or any(each.status() != manifold3d.Error.NoError for each in pair):
+            if len(pair) < 2 or any(solid.status() != manifold3d.Error.NoError for solid in pair):
                 continue
             apart = f" but for {parts[first].min_gap(parts[second], near):.2g} m"
         others = [part for number, part in enumerate(parts) if number not in (first, second)]

@@ -89,20 +89,23 @@ def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     scenes which differ by that alone share their surface.
     """
     baffles = []
-    for each in scene.baffles:
-        friction, box = scene.friction_of(each), {key: getattr(each, key) for key in ("lower", "size", "turned_deg")}
+    for baffle in scene.baffles:
+        friction, box = (
+            scene.friction_of(baffle),
+            {key: getattr(baffle, key) for key in ("lower", "size", "turned_deg")},
+        )
         contact = "no-slip" if friction == ROUGH else "coulomb"
         baffles.append(Solid(**box, friction=coefficient(friction, 0.0), contact=contact))
-    others = [each if each.turbulence is None else replace(each, turbulence=None) for each in scene.solids]
+    others = [solid if solid.turbulence is None else replace(solid, turbulence=None) for solid in scene.solids]
     return (*baffles, *others), tuple(keyed(scene, "baffles", "solids"))
 
 
 @lru_cache(maxsize=8)
 def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...]) -> Surface:
     """The surface of `solids` in a box; errors name the keys."""
-    bodies = [body_of(*each, domain) for each in zip(solids, keys, strict=True)]
-    found = boundary(bodies, CLOSING * domain.cell)
-    return without_slip(found.chosen(near_box(found, domain)), solids)
+    bodies = [body_of(*solid_and_key, domain) for solid_and_key in zip(solids, keys, strict=True)]
+    surface = boundary(bodies, CLOSING * domain.cell)
+    return without_slip(surface.chosen(near_box(surface, domain)), solids)
 
 
 def without_slip(surface: Surface, solids: tuple[Solid, ...]) -> Surface:
@@ -127,9 +130,9 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
     else:
         union = union_of_rings if bodies[0].vertices.shape[1] == 2 else union_of_surfaces
         vertices, faces, friction, owner = union(bodies, gap)
-    found = Surface(vertices[faces], *pseudonormals(vertices, faces), owner, friction)
+    surface = Surface(vertices[faces], *pseudonormals(vertices, faces), owner, friction)
     # Triangles without area have no normal.
-    return found.chosen(np.asarray(found.normals.any(axis=1)))
+    return surface.chosen(np.asarray(surface.normals.any(axis=1)))
 
 
 def body_of(solid: Solid, key: str, box: Domain) -> Body:

@@ -157,8 +157,8 @@ def check_k0(scene: SceneLayout) -> None:
         material = scene.material_of(mass)
         if material.law != MOHR_COULOMB:
             continue
-        varying = (each for each in scene.fields if each.quantity == FRICTION and each.mass in (None, number))
-        angles = [min(each.values) for each in varying]
+        varying = (field for field in scene.fields if field.quantity == FRICTION and field.mass in (None, number))
+        angles = [min(field.values) for field in varying]
         angle = material.phi_deg_of(min(angles), material.dilation_deg) if angles else material.phi_deg
         active = math.tan(math.radians(45.0 - 0.5 * angle)) ** 2
         tall = height(scene, mass)
@@ -203,7 +203,7 @@ def resting_load(scene: SceneLayout, mass: Mass) -> float:
     """Pressure [Pa] of the masses with a `k0` that are stacked on `mass`, at most, on its top."""
     level = [axis for axis in range(scene.dimension) if axis != 1]
     load, top = 0.0, mass.lower[1] + mass.size[1]
-    for above in sorted(scene.masses, key=lambda each: each.lower[1]):
+    for above in sorted(scene.masses, key=lambda other: other.lower[1]):
         shared = all(
             above.lower[axis] < mass.lower[axis] + mass.size[axis] - TOLERANCE
             and mass.lower[axis] < above.lower[axis] + above.size[axis] - TOLERANCE
@@ -268,8 +268,8 @@ def check_fields(scene: SceneLayout) -> None:
         entering = [n for n in masses if scene.masses[n].kind == INFLOW and field.mass in (None, n)]
         still = field.quantity in (FRICTION, THICKNESS) or not entering
         require(still, f"{key}.mass", "a mass of another kind: an inflow has the velocity of its hydrograph", entering)
-        others = [each for each in scene.fields[:index] if each.quantity == field.quantity]
-        alone = all(each.mass is not None and field.mass is not None and each.mass != field.mass for each in others)
+        others = [other for other in scene.fields[:index] if other.quantity == field.quantity]
+        alone = all(other.mass is not None and field.mass is not None and other.mass != field.mass for other in others)
         require(alone, key, f"one field of {field.quantity} for each mass", "another one")
         if field.quantity == THICKNESS:
             check_thickness(scene, field, key)
@@ -324,7 +324,7 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
         if lowest < -TOUCHING:
             said = f"falls {-lowest:.3g} m below the floor of the box, which is the ground there"
             warnings.warn(f"{key}: the terrain {said}, of floor_friction = {scene.floor_friction}", stacklevel=3)
-    surfaces = {key: each.friction for key, each in keyed(scene, "baffles", "solids").items()}
+    surfaces = {key: surface.friction for key, surface in keyed(scene, "baffles", "solids").items()}
     surfaces |= {name: getattr(scene, name) for name in ("floor_friction", "wall_friction", "baffle_friction")}
     for key, friction in surfaces.items():
         # Of a raster its first row: there may be millions.
@@ -333,8 +333,8 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
         if STEEPEST < steep < 90.0:
             angle = f"of an angle of {steep:g} degrees it is {math.tan(math.radians(steep)):.3g}"
             warnings.warn(f"{key}: a friction of {steep:g} is a Coulomb coefficient; {angle}", stacklevel=3)
-    own = {f"{key}.material": mass.material for key, mass in keyed(scene, "masses").items() if mass.material}
-    for key, material in {"material": scene.material, **own}.items():
+    of_masses = {f"{key}.material": mass.material for key, mass in keyed(scene, "masses").items() if mass.material}
+    for key, material in {"material": scene.material, **of_masses}.items():
         lines = []
         if 0.0 < material.friction_deg < SMALL_ANGLE:
             radians = math.degrees(material.friction_deg)

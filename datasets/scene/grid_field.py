@@ -63,7 +63,7 @@ class Grid:
             # One node along an axis has no neighbour.
             ends, parts = ((low, low + 1), (1.0 - part, part)) if nodes > 1 else ((low,), (1.0 - part,))
             node = np.stack([node * nodes + end for end in ends], axis=2).reshape(shape)
-            weight = np.stack([weight * each for each in parts], axis=2).reshape(shape)
+            weight = np.stack([weight * share for share in parts], axis=2).reshape(shape)
         rows = np.arange(count + 1, dtype=np.int32) * node.shape[1]
         return csr_array((weight.ravel(), node.ravel(), rows), shape=(count, self.count))
 

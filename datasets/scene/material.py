@@ -134,11 +134,11 @@ class Material(Record):
         """The keys of a file, those of another law among its `constants`."""
         if not isinstance(data, dict) or data.get("law", MOHR_COULOMB) == MOHR_COULOMB:
             return data
-        known = {each.name for each in dataclasses.fields(cls)}
-        own = {key: value for key, value in data.items() if key not in known}
+        field_names = {member.name for member in dataclasses.fields(cls)}
+        others = {key: value for key, value in data.items() if key not in field_names}
         constants = data.get("constants", {})
-        constants = {**constants, **own} if isinstance(constants, dict) else constants
-        return {"friction_deg": 0.0, **{key: data[key] for key in data if key in known}, "constants": constants}
+        constants = {**constants, **others} if isinstance(constants, dict) else constants
+        return {"friction_deg": 0.0, **{key: data[key] for key in data if key in field_names}, "constants": constants}
 
     def __post_init__(self) -> None:
         def require(ok: bool, key: str, expected: str) -> None:
@@ -148,11 +148,11 @@ class Material(Record):
         with keyed("material"):
             super().__post_init__()
         if self.law != MOHR_COULOMB:
-            for each in dataclasses.fields(self):
-                value, usual = getattr(self, each.name), 0.0 if each.name == "friction_deg" else each.default
-                if each.name not in SHARED and value != usual:
+            for member in dataclasses.fields(self):
+                value, usual = getattr(self, member.name), 0.0 if member.name == "friction_deg" else member.default
+                if member.name not in SHARED and value != usual:
                     message = f"expected none beside law = {self.law!r}, got {value!r}"
-                    raise InputError(message, key=f"material.{each.name}")
+                    raise InputError(message, key=f"material.{member.name}")
         highest = ANGLES[self.angle]
         kind = "an angle" if self.angle == "triaxial" else "the angle of a slope"
         require(0.0 <= self.friction_deg < highest, "friction_deg", f"{kind} in [0, {highest:g}) degrees")
@@ -167,8 +167,8 @@ class Material(Record):
             value = getattr(self, f"residual_{key}")
             if value is not None:
                 require(0.0 <= value <= peak, f"residual_{key}", f"a value in [0, {key}], at most {peak:g},")
-                known = self.softening_length is not None
-                require(known, f"residual_{key}", "no residual value without a softening_length")
+                softens = self.softening_length is not None
+                require(softens, f"residual_{key}", "no residual value without a softening_length")
         if self.friction_limit_deg is not None:
             slow = self.friction_deg if self.residual_friction_deg is None else self.residual_friction_deg
             expected = f"{kind} of at least {slow:g} degrees, that of slow shear, and below {highest:g}"

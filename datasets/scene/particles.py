@@ -122,8 +122,8 @@ def initial_particles(scene: Scene) -> Particles:
             continue
         here, values = field.mass is None or number == field.mass, field.at(placed)
         if field.quantity == FRICTION:
-            known = np.array([each.friction_deg for each in materials])[material]
-            friction_deg = np.where(here, values, known if friction_deg is None else friction_deg)
+            angles = np.array([sand.friction_deg for sand in materials])[material]
+            friction_deg = np.where(here, values, angles if friction_deg is None else friction_deg)
         else:
             moving[:, field.axis] = np.where(here, values, moving[:, field.axis])
     return Particles(
@@ -149,10 +149,10 @@ def depth(scene: Scene, mass: Mass, positions: Floats) -> Floats:
 
 def cohesions(materials: Sequence[Material], material: NDArray[np.integer], depths: Floats) -> NDArray[np.float32]:
     """Cohesion [Pa] of particles of `materials` by number, shape [N], at `depths` [m], shape [N]."""
-    found = np.zeros(len(depths), np.float32)
-    for index, each in enumerate(materials):
-        found[material == index] = each.cohesion_at(depths[material == index])
-    return found
+    values = np.zeros(len(depths), np.float32)
+    for index, sand in enumerate(materials):
+        values[material == index] = sand.cohesion_at(depths[material == index])
+    return values
 
 
 def observed_cohesion(
@@ -163,9 +163,9 @@ def observed_cohesion(
     mass: the mass that each belongs to, where the particles are not those of `initial_particles`. Raises InputError
     where masses differ and nothing says which particle belongs to which.
     """
-    materials = [scene.material_of(each) for each in scene.masses]
-    grows = [each.strength_gradient > 0.0 for each in materials]
-    alike = len(materials) == 1 or (len({each.cohesion for each in materials}) == 1 and not any(grows))
+    materials = [scene.material_of(body) for body in scene.masses]
+    grows = [material.strength_gradient > 0.0 for material in materials]
+    alike = len(materials) == 1 or (len({material.cohesion for material in materials}) == 1 and not any(grows))
     if mass is None and alike:
         mass = np.zeros(len(positions), np.int32)
     elif mass is None:
@@ -175,9 +175,9 @@ def observed_cohesion(
             raise InputError(f"expected {expected}, got {len(positions)}", key="positions")
         mass = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     depths = np.zeros(len(positions))
-    for index, each in enumerate(scene.masses):
+    for index, body in enumerate(scene.masses):
         if grows[index]:
-            depths[mass == index] = depth(scene, each, np.asarray(positions[mass == index], np.float64))
+            depths[mass == index] = depth(scene, body, np.asarray(positions[mass == index], np.float64))
     return cohesions(materials, mass, depths)
 
 
@@ -203,20 +203,20 @@ def stretches(scene: Scene) -> list[Floats]:
     A layer with a field of thickness has the particles of its own one; the field moves them up or down in proportion
     and changes their volumes, so that a flow depends on it smoothly.
     """
-    found = [np.ones(1) for _ in scene.masses]
+    factors = [np.ones(1) for _ in scene.masses]
     for field in scene.fields:
-        for index in range(len(found)) if field.mass is None else (field.mass,):
+        for index in range(len(factors)) if field.mass is None else (field.mass,):
             if field.quantity == THICKNESS:
                 filled = filling(scene, scene.masses[index])
                 assert filled.thickness is not None, "a layer, by the checks of the scene"
-                found[index] = field.at(filled.lattice) / filled.thickness
-    return found
+                factors[index] = field.at(filled.lattice) / filled.thickness
+    return factors
 
 
 def mass_volumes(scene: Scene) -> Floats:
     """Volume of each mass [m^D], that of its shape, of a layer with a field of thickness of its particles; [masses]."""
     volumes = (math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses)
-    means = [float(each.mean()) for each in stretches(scene)]
+    means = [float(stretch.mean()) for stretch in stretches(scene)]
     return np.asarray(np.fromiter(volumes, np.float64) * means)
 
 
@@ -240,10 +240,10 @@ def mass_particle_volumes(scene: Scene) -> Floats:
 
     Volumes that differ by rounding alone are the same number, `scene.particle_volume` where the masses fit the lattice.
     """
-    known = [scene.particle_volume]
+    volumes = [scene.particle_volume]
     for volume in (mass_volumes(scene) / mass_counts(scene)).tolist():
-        known.append(next((each for each in known if abs(volume - each) <= ROUNDING * each), volume))
-    return np.array(known[1:])
+        volumes.append(next((earlier for earlier in volumes if abs(volume - earlier) <= ROUNDING * earlier), volume))
+    return np.array(volumes[1:])
 
 
 def initial_volumes(scene: Scene) -> Floats:
@@ -252,7 +252,9 @@ def initial_volumes(scene: Scene) -> Floats:
     if all(field.quantity != THICKNESS for field in scene.fields):
         return volumes
     shares = zip(stretches(scene), mass_counts(scene), strict=True)
-    return np.asarray(volumes * np.concatenate([np.broadcast_to(each / each.mean(), count) for each, count in shares]))
+    return np.asarray(
+        volumes * np.concatenate([np.broadcast_to(stretch / stretch.mean(), count) for stretch, count in shares])
+    )
 
 
 def particle_volumes(scene: Scene, count: int) -> Floats:
@@ -261,8 +263,8 @@ def particle_volumes(scene: Scene, count: int) -> Floats:
     Of other particles than those that `initial_particles` makes (another code's) only the mean is known: that of the
     masses over their number.
     """
-    own = initial_volumes(scene)
-    return own if len(own) == count else np.full(count, own.sum() / count)
+    volumes = initial_volumes(scene)
+    return volumes if len(volumes) == count else np.full(count, volumes.sum() / count)
 
 
 def warn_if_unresolved(scene: Scene) -> None:
@@ -286,7 +288,7 @@ def unresolved(scene: Scene, cells: float) -> str:
     if not thin:
         return ""
     names, thickness = ", ".join([*thin][:3]) + (", ..." if len(thin) > 3 else ""), min(thin.values())
-    finest, coarsest = (thickness / each for each in reversed(RESOLVED))
+    finest, coarsest = (thickness / number for number in reversed(RESOLVED))
     said = f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid hardly resolves it"
     return f"{said}; a cell of {finest:.2g} to {coarsest:.2g} m would"
 
@@ -300,8 +302,8 @@ def thinnest(scene: Scene, mass: Mass) -> float:
 
 def continues(scene: Scene, mass: Mass, axis: int) -> bool:
     """Whether a mass of the same material shares a face with `mass` across `axis`."""
-    lower = np.array([each.lower for each in scene.masses])
-    upper = lower + np.array([each.size for each in scene.masses])
+    lower = np.array([other.lower for other in scene.masses])
+    upper = lower + np.array([other.size for other in scene.masses])
     gaps = np.maximum(lower - np.add(mass.lower, mass.size), mass.lower - upper)
     beside = (np.delete(gaps, axis, axis=1) < -TOLERANCE).all(axis=1) & (np.abs(gaps[:, axis]) <= TOLERANCE)
     others = (scene.masses[index] for index in np.flatnonzero(beside))

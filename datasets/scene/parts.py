@@ -65,7 +65,7 @@ class Domain(Record):
         super().__post_init__()
         count, origin = len(self.size), self.origin
         require(count in (2, 3), "size", "2 or 3 lengths in m", list(self.size))
-        placed = origin is None or (len(origin) == count and all(abs(each) <= FARTHEST for each in origin))
+        placed = origin is None or (len(origin) == count and all(abs(length) <= FARTHEST for length in origin))
         require(placed, "origin", f"{count} lengths in m within {FARTHEST:g}", list(origin or ()))
         require(self.crs is None or self.origin is not None, "crs", "an origin beside it", "none")
 
@@ -254,7 +254,8 @@ class Solid(Record):
 
     def __hash__(self) -> int:
         """Of a raster from its first row: millions of heights take longer than what is looked up by them."""
-        rows = [each[:1] if isinstance(each, tuple) else each for each in (self.heights, self.friction, self.triangles)]
+        tables = self.heights, self.friction, self.triangles
+        rows = [table[:1] if isinstance(table, tuple) else table for table in tables]
         shape = self.kind, self.lower, self.size, self.turned_deg, self.vertices, self.points
         return hash((*shape, self.origin, self.spacing, *rows))
 
@@ -396,4 +397,4 @@ class SceneLayout(Record):
 
 def keyed(scene: SceneLayout, *groups: str) -> dict[str, Any]:
     """The members of groups such as `masses` by their keys in the scene, such as `masses[0]`."""
-    return {f"{group}[{index}]": each for group in groups for index, each in enumerate(getattr(scene, group))}
+    return {f"{group}[{index}]": member for group in groups for index, member in enumerate(getattr(scene, group))}

@@ -69,14 +69,14 @@ def greatest_speed(scene: SceneLayout) -> float:
     sand = [scene.material_of(mass) for mass in scene.masses]
     grains = min(math.tan(math.radians(material.phi_deg)) for material in sand)
     mu = grains if rough else min(grains, float(np.min(friction)))
-    own = [max(map(abs, field.values)) for field in scene.fields if field.quantity.startswith("velocity")]
-    fastest = math.hypot(*own) ** 2
+    speeds = [max(map(abs, field.values)) for field in scene.fields if field.quantity.startswith("velocity")]
+    fastest = math.hypot(*speeds) ** 2
     for mass in scene.masses:
         thrown = max([math.hypot(*(mass.velocity or ())), *(speed for _, _, speed in mass.hydrograph or ())])
         start = thrown + 0.5 * math.hypot(*mass.size) * float(np.linalg.norm(mass.spin, 2))
         middle = np.array(mass.lower) + 0.5 * np.array(mass.size)
         apart = [axis - place for axis, place in zip(axes, middle[::2].tolist(), strict=True)]
-        level = np.sqrt(sum(each**2 for each in apart))
+        level = np.sqrt(sum(offset**2 for offset in apart))
         fallen = down * (middle[1] + 0.5 * height(scene, mass) - ground - mu * level)
         fastest = max(fastest, start**2 + 2.0 * float(np.max(along * apart[0] + fallen, initial=0.0)))
     return math.sqrt(fastest)

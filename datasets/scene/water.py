@@ -31,9 +31,9 @@ DRAINED, UNDRAINED = 3.0, 0.01
 
 def saturated(scene: SceneLayout) -> Material | None:
     """The saturated material of a scene; None where it is dry. Raises InputError for several that differ."""
-    found = {each for mass in scene.masses if (each := scene.material_of(mass)).saturated}
-    require(len(found) < 2, "masses", "one saturated material, beside dry ones", f"{len(found)}")
-    return next(iter(found), None)
+    materials = {material for mass in scene.masses if (material := scene.material_of(mass)).saturated}
+    require(len(materials) < 2, "masses", "one saturated material, beside dry ones", f"{len(materials)}")
+    return next(iter(materials), None)
 
 
 def constrained_modulus(material: Material) -> float:

@@ -76,7 +76,7 @@ class Correction(nn.Module):
         own_first, own_last, _ = here.chunk(3, dim=1)
         before, after, _ = spread.chunk(3, dim=1)
         places = (last - first, own_first, own_last, velocity, thrown, ended - begun, before, after, own_last / after)
-        return torch.cat((nodes, *(each.expand_as(first) for each in places)), dim=1)
+        return torch.cat((nodes, *(place.expand_as(first) for place in places)), dim=1)
 
 
 def average(values: Tensor, conditions: Conditions) -> Tensor:

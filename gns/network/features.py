@@ -39,8 +39,8 @@ def constants(x: Moment) -> Tensor:
     inclined = torch.full_like(conditions.gravity[0], INCLINED / GRAVITY)
     inclined[UP] = 1.0 / GRAVITY
     shared = torch.cat((rough, DAMPING * conditions.damping.unsqueeze(1), inclined * conditions.gravity), dim=1)
-    own = torch.stack((friction, cohesion), dim=1)
-    return torch.cat((own, conditions.of_particles(shared).expand(len(own), -1)), dim=1)
+    strengths = torch.stack((friction, cohesion), dim=1)
+    return torch.cat((strengths, conditions.of_particles(shared).expand(len(strengths), -1)), dim=1)
 
 
 CONSTANTS = {"friction, cohesion, floor, walls, damping, gravity": Input(lambda s: 5 + s.dimension, constants)}
@@ -99,7 +99,7 @@ class Inputs:
     def of_moment(moment: Moment) -> "Inputs":
         """Those of the particles at one moment."""
         settings, conditions = moment.settings, moment.conditions
-        features = {name: each.compute(moment) for name, each in NODES.items()}
+        features = {name: feature.compute(moment) for name, feature in NODES.items()}
         return Inputs(
             features=torch.cat(list(features.values()), dim=1),
             constant=torch.cat([features[name] for name in CONSTANTS], dim=1),

@@ -89,25 +89,25 @@ class FusedSum(torch.autograd.Function):
         ctx: Any, receiver: Tensor, sender: Tensor, weight: Tensor, positions: Tensor, senders: Tensor, starts: Tensor
     ) -> Tensor:
         """a - W_x x [N, C], b + W_x x [N, C], W_d [C], x [N, D], senders [E], starts [N + 1] to m [N, C]."""
-        given = [each.contiguous() for each in (receiver, sender, weight, positions, senders, starts)]
+        given = [tensor.contiguous() for tensor in (receiver, sender, weight, positions, senders, starts)]
         ctx.save_for_backward(*given)
         total = torch.empty_like(receiver)
-        _sums(*(each.detach().numpy() for each in given), total.numpy())  # type: ignore[call-arg]
+        _sums(*(tensor.detach().numpy() for tensor in given), total.numpy())  # type: ignore[call-arg]
         return total
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         """Gradients with respect to the first four inputs."""
         given = ctx.saved_tensors
-        found = [torch.zeros_like(each) for each in given[:4]]
+        of_inputs = [torch.zeros_like(tensor) for tensor in given[:4]]
         _gradients(  # type: ignore[call-arg]
-            *(each.detach().numpy() for each in given),
+            *(tensor.detach().numpy() for tensor in given),
             gradients[0].contiguous().numpy(),
-            *(each.numpy() for each in found),
+            *(gradient.numpy() for gradient in of_inputs),
             ctx.needs_input_grad[2],
             ctx.needs_input_grad[3],
         )
-        return *found, None, None
+        return *of_inputs, None, None
 
 
 @numba.njit(inline="always", fastmath=FAST, error_model="numpy")

@@ -37,31 +37,31 @@ def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tenso
     if len(near) == 0:
         return kept
     boxes, ends = boxes.select(row), conditions.size.index_select(0, row)
-    fixed = boxes.each(Tensor.detach)
+    fixed = boxes.mapped(Tensor.detach)
     point = kept.index_select(0, near)
     start = _clamped(before.detach().index_select(0, near), ends.detach())
     start = _freed(start, ends.detach(), fixed)
-    own_start = fixed.own(start)
+    start_in_axes = fixed.in_axes(start)
     is_turned = boxes.turn is not None
     # Where a box has stopped a particle, its new path is clear of that box, whatever stops it next: a round each. Of
     # turned ones that is so but for the next one to send it back.
     for _ in range(boxes.half.shape[1] * (2 if is_turned else 1)):
-        box, axis, along = entered(own_start, fixed.own(point.detach()), fixed.half, graze=GRAZE, slack=SLACK)
+        box, axis, along = entered(start_in_axes, fixed.in_axes(point.detach()), fixed.half, graze=GRAZE, slack=SLACK)
         hit = (box >= 0).nonzero().squeeze(1)
         if len(hit) == 0:
             break
         point = point.index_copy(0, hit, _stopped(point[hit], boxes.select(hit).one(box[hit]), axis[hit], along[hit]))
         if is_turned:
             point = _clamped(point, ends)
-    own = None if batch is None else row
+    near_batch = None if batch is None else row
     if ground is not None:
-        point = lifted(point, ground, own)
+        point = lifted(point, ground, near_batch)
     if is_turned:
         # Of smaller boxes, or rounding would stop what slides along a face.
-        box, *_ = entered(own_start, fixed.own(point.detach()), fixed.half - SLACK, graze=GRAZE, slack=0.0)
+        box, *_ = entered(start_in_axes, fixed.in_axes(point.detach()), fixed.half - SLACK, graze=GRAZE, slack=0.0)
         point = torch.where((box >= 0).unsqueeze(1), start, point)
         if ground is not None:
-            point = lifted(point, ground, own)
+            point = lifted(point, ground, near_batch)
     return kept.index_copy(0, near, point)
 
 
@@ -69,7 +69,7 @@ def _stopped(point: Tensor, box: Boxes, axis: Tensor, along: Tensor) -> Tensor:
     """Positions [n, D] moved to a face of a box, K = 1: across `axis` [n], the lower one where paths go `along` it."""
     across = torch.nn.functional.one_hot(axis, point.shape[1]).to(point).unsqueeze(1)
     half = (box.half * across).sum(dim=2)
-    shift = torch.where(along.unsqueeze(1), -half, half) - (box.own(point) * across).sum(dim=2)
+    shift = torch.where(along.unsqueeze(1), -half, half) - (box.in_axes(point) * across).sum(dim=2)
     return point + shift * box.world_vectors(across).squeeze(1)
 
 
@@ -93,11 +93,13 @@ def _freed(points: Tensor, size: Tensor, boxes: Boxes) -> Tensor:
     # One candidate for each of the 2 D faces, the lower ones first: [n, 2 D, D].
     axes = torch.eye(dimension, dtype=point.dtype, device=point.device).expand(count, -1, -1)
     faces = torch.stack((-box.half, box.half), dim=1).squeeze(2)
-    shift = (faces - box.own(point)).flatten(1)
-    directions = box.each(lambda part: part.expand(-1, dimension, *part.shape[2:])).world_vectors(axes).repeat(1, 2, 1)
+    shift = (faces - box.in_axes(point)).flatten(1)
+    directions = (
+        box.mapped(lambda part: part.expand(-1, dimension, *part.shape[2:])).world_vectors(axes).repeat(1, 2, 1)
+    )
     moved = point.unsqueeze(1) + shift.unsqueeze(2) * directions
-    each = boxes.select(row.repeat_interleave(2 * dimension))
-    covered = each.contain(moved.flatten(0, 1), SLACK).view(count, 2 * dimension, -1)
+    repeated = boxes.select(row.repeat_interleave(2 * dimension))
+    covered = repeated.contain(moved.flatten(0, 1), SLACK).view(count, 2 * dimension, -1)
     covered[row, :, number] = False
     beyond = ((moved < -SLACK) | (moved > ends.unsqueeze(1) + SLACK)).any(dim=2)
     effort = shift.abs() + (covered.any(dim=2) | beyond) * ends.norm(dim=1, keepdim=True)
@@ -139,11 +141,11 @@ def above(points: Tensor, ground: Ground, batch: Tensor | None) -> Tensor:
     if len(buried) == 0:
         return points
     point = points.index_select(0, buried)
-    own = None if batch is None else batch.index_select(0, buried)
-    height, slope = Below(point, ground, own).value_and_slope(ground.elevation)
+    buried_batch = None if batch is None else batch.index_select(0, buried)
+    height, slope = Below(point, ground, buried_batch).value_and_slope(ground.elevation)
     normal = upward(slope)
     point = point + ((height - point[:, UP]) * normal[:, UP]).unsqueeze(1) * normal
-    return points.index_copy(0, buried, lifted(point, ground, own))
+    return points.index_copy(0, buried, lifted(point, ground, buried_batch))
 
 
 def lifted(points: Tensor, ground: Ground, batch: Tensor | None) -> Tensor:

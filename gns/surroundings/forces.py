@@ -135,7 +135,8 @@ class Moment:
         """Friction of the surfaces [-], shape [N, D]."""
         conditions, dimension = self.conditions, self.settings.dimension
         floor, wall = (
-            conditions.of_particles(each).unsqueeze(1) for each in (conditions.floor_friction, conditions.wall_friction)
+            conditions.of_particles(roughness).unsqueeze(1)
+            for roughness in (conditions.floor_friction, conditions.wall_friction)
         )
         lower, upper = (1.0 - self.solids[:, : 2 * dimension]).chunk(2, dim=1)
         direction, friction = self.solids[:, -dimension - 1 : -1], self.solids[:, -1:]
@@ -211,11 +212,13 @@ class Moment:
             for i in axes
             for j in range(i, dimension)
         }
-        square = sum((1.0 if i == j else 2.0) * each.square() for (i, j), each in rate.items())
+        square = sum((1.0 if i == j else 2.0) * component.square() for (i, j), component in rate.items())
         # Not the root alone: it has no slope at zero.
         slow = self.slow / cell
         scale = fields[..., dimension] / ((0.5 * square + slow**2).sqrt() + slow)
-        stress = stencil.within(torch.stack([scale * each for each in rate.values()], dim=-1), conditions.size, axes)
+        stress = stencil.within(
+            torch.stack([scale * component for component in rate.values()], dim=-1), conditions.size, axes
+        )
         slopes = [torch.gradient(stress, spacing=cell, dim=axis + 1)[0] for axis in axes]
         index = {pair: number for number, pair in enumerate(rate)}
         divergence = [

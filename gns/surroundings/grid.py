@@ -108,18 +108,18 @@ def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | Non
     origin = (first - MARGIN).clamp(min=-1)
     counts = -((origin - last - MARGIN - 2) // MULTIPLE) * MULTIPLE
     shape = tuple(int(count) for count in counts.amax(dim=0).tolist())
-    own = None
+    inside = None
     if len(size) > 1:
         parts = [torch.arange(count, device=base.device) < counts[:, axis, None] for axis, count in enumerate(shape)]
-        own = reduce(torch.mul, (spread(part, axis, dimension) for axis, part in enumerate(parts)))
-        own = own.unsqueeze(-1).to(scaled)
+        inside = reduce(torch.mul, (spread(part, axis, dimension) for axis, part in enumerate(parts)))
+        inside = inside.unsqueeze(-1).to(scaled)
     above = scaled - base
     strides = torch.tensor([math.prod(shape[axis + 1 :]) for axis in range(dimension)], device=base.device)
     corner = ((base - origin.index_select(0, index)) * strides).sum(dim=1) + index * math.prod(shape)
     bits = torch.cartesian_prod(*[torch.arange(2, device=base.device)] * dimension)
     nodes = corner + (bits * strides).sum(dim=1, keepdim=True)
     weights = reduce(torch.mul, torch.where(bits.unsqueeze(1) > 0, above, 1.0 - above).unbind(dim=2))
-    return Stencil(shape=shape, origin=origin, cell=cell, nodes=nodes, weights=weights, own=own)
+    return Stencil(shape=shape, origin=origin, cell=cell, nodes=nodes, weights=weights, own=inside)
 
 
 def spread(values: Tensor, axis: int, dimension: int) -> Tensor:
@@ -166,12 +166,12 @@ def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
     begin, end = stencil.cells(conditions.size)
     length = [last - first for first, last in zip(begin, end, strict=True)]
     axes = "xyz"[: len(length)]
-    room = torch.einsum(f"{','.join('b' + axis for axis in axes)}->b{axes}", *(each / stencil.cell for each in length))
+    room = torch.einsum(f"{','.join('b' + axis for axis in axes)}->b{axes}", *(side / stencil.cell for side in length))
     if conditions.ground is not None:
         room = room * (1.0 - _buried(conditions.ground, begin, end))
     if conditions.baffles is not None:
         boxes = Boxes.of_conditions(conditions)
-        inverse = [torch.where(each > 0.0, 1.0 / torch.where(each > 0.0, each, 1.0), 0.0) for each in length]
+        inverse = [torch.where(side > 0.0, 1.0 / torch.where(side > 0.0, side, 1.0), 0.0) for side in length]
         parts = {}
         for axis, name in enumerate(axes):
             lower, upper = (boxes.middle[:, :, axis, None] + sign * boxes.half[:, :, axis, None] for sign in (-1, 1))
@@ -209,7 +209,7 @@ def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
     assert boxes.turn is not None
     half = torch.stack((boxes.half[..., 0], boxes.half[..., -1]), dim=-1)
     corners = half.unsqueeze(2) * half.new_tensor(CORNERS)
-    vertices = rotated(corners, *(each.unsqueeze(2) for each in boxes.turn))
+    vertices = rotated(corners, *(component.unsqueeze(2) for component in boxes.turn))
     # Farther than any vertex, where the gradient would be one of two.
     extent = 1.1 * vertices.detach().abs().amax(dim=2)
     # From the middle of the box: [B, K, 1, X + 1].
@@ -218,7 +218,7 @@ def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
         for axis, edges in ((0, x), (-1, z))
     )
     x, z = x.unsqueeze(2), z.unsqueeze(2).unsqueeze(3)
-    (s0, zeta0), (s1, zeta1) = (each.unsqueeze(3).unbind(4) for each in (vertices, vertices.roll(-1, dims=2)))
+    (s0, zeta0), (s1, zeta1) = (points.unsqueeze(3).unbind(4) for points in (vertices, vertices.roll(-1, dims=2)))
     run = s1 - s0
     rise = torch.where(run == 0.0, 0.0, (zeta1 - zeta0) / torch.where(run == 0.0, 1.0, run))
     first, last = torch.minimum(s0, x), torch.minimum(s1, x)
@@ -244,9 +244,9 @@ def _buried(ground: Ground, begin: list[Tensor], end: list[Tensor]) -> Tensor:
     middles = [spread(0.5 * (begin[axis] + end[axis]), axis, dimension) for axis in range(dimension)]
     middles[UP] = torch.zeros_like(middles[UP][:, :, :1])
     shape = [len(begin[0]), *(middle.shape[axis + 1] for axis, middle in enumerate(middles))]
-    points = torch.stack([each.expand(shape).flatten() for each in middles], dim=1)
+    points = torch.stack([middle.expand(shape).flatten() for middle in middles], dim=1)
     batch = torch.arange(shape[0], device=points.device).repeat_interleave(math.prod(shape[1:]))
     elevation = Below(points, ground, batch).value(ground.elevation).view(shape)
-    low, high = (spread(each[UP], UP, dimension) for each in (begin, end))
+    low, high = (spread(bounds[UP], UP, dimension) for bounds in (begin, end))
     below = torch.minimum((elevation - low).clamp(min=0.0), high - low)
     return torch.where(high > low, below / torch.where(high > low, high - low, 1.0), 0.0)

@@ -55,7 +55,7 @@ class InitialState(Tensors):
 
     def of_mass(self, mass: int | None) -> Tensor:
         """Whether each particle belongs to `mass`, for None to any mass of the scene's shared material; bool, [n]."""
-        shared = np.array([each.material is None for each in self.scene.masses])
+        shared = np.array([body.material is None for body in self.scene.masses])
         return torch.from_numpy(shared[self.mass] if mass is None else self.mass == mass)
 
     def with_conditions(self, **changes: Any) -> "InitialState":
@@ -73,26 +73,26 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
     units = Units.of_model(scene, settings)
     step = units.time * settings.step
     particles = initial_particles(scene)
-    known, velocity0 = (each.astype(np.float32) for each in (particles.positions[None], particles.velocities))
+    observed, velocity0 = (array.astype(np.float32) for array in (particles.positions[None], particles.velocities))
     if frames is not None:
-        if frames.positions.shape[1] != known.shape[1]:
-            message = f"expected the {known.shape[1]} particles of the scene, got {frames.positions.shape[1]}"
+        if frames.positions.shape[1] != observed.shape[1]:
+            message = f"expected the {observed.shape[1]} particles of the scene, got {frames.positions.shape[1]}"
             raise InputError(message, where="start", key="positions")
-        known, velocity0 = resampled(frames, step), frames.velocity0
+        observed, velocity0 = resampled(frames, step), frames.velocity0
     cell, some = units.length * settings.cell, settings.particles_per_cell
     steps, count = scene.duration / step, some * released_volume(scene) / cell**scene.dimension
     instead = f"{count:.3g} particles over {steps:.3g} steps; a shorter time"
     memory.require(4.0 * steps * count * scene.dimension, "a rollout", instead, key="duration")
-    kept, volumes = thin(known[0], particles.volume, cell=cell, kept=some, rng=np.random.default_rng(0))
-    known, velocity0 = known[:, kept], velocity0[kept]
-    history = torch.from_numpy(known[-settings.history - 1 :])
+    kept, volumes = thin(observed[0], particles.volume, cell=cell, kept=some, rng=np.random.default_rng(0))
+    observed, velocity0 = observed[:, kept], velocity0[kept]
+    history = torch.from_numpy(observed[-settings.history - 1 :])
     return InitialState(
         state=State.observed(history, torch.from_numpy(velocity0), step=step, history=settings.history),
         conditions=conditions_of(scene, cell, particles.friction[kept], particles.cohesion[kept], volumes, units),
         scene=scene,
         step=step,
-        steps=max(0, round(scene.duration / step) - len(known) + 1),
-        known=known,
+        steps=max(0, round(scene.duration / step) - len(observed) + 1),
+        known=observed,
         velocity0=velocity0,
         indices=kept,
     )
@@ -110,17 +110,17 @@ def resampled(frames: Trajectory, step: float) -> Floats:
 
 def check(scene: Scene, settings: ModelSettings) -> None:
     """Raise InputError for a scene that no model of these settings represents: the key, and what was expected."""
-    known = settings.dimension
-    require(scene.dimension == known, "", f"a {known}D scene, as the model's", f"{scene.dimension}D")
+    dimension = settings.dimension
+    require(scene.dimension == dimension, "", f"a {dimension}D scene, as the model's", f"{scene.dimension}D")
     materials = [scene.material_of(mass) for mass in scene.masses]
     refused = [
         (bool(scene.open_sides), "open_sides", "a closed box"),
         (bool(scene.stages), "stages", "a material that stays as it is"),
         (any(mass.kind == INFLOW for mass in scene.masses), "masses", "masses that are there from the start"),
         (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
-        (any(each.saturated for each in materials), "material.saturated", "dry material"),
-        (len({each.density for each in materials}) > 1, "masses", "masses of one density"),
-        *((each.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for each in materials),
+        (any(material.saturated for material in materials), "material.saturated", "dry material"),
+        (len({material.density for material in materials}) > 1, "masses", "masses of one density"),
+        *((material.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for material in materials),
     ]
     for place, baffle in keyed(scene, "baffles").items():
         refused.append((baffle.turbulence is not None, f"{place}.turbulence", "Coulomb friction alone"))
@@ -146,9 +146,11 @@ def conditions_of(scene: Scene, spacing: float, friction: Any, cohesion: Any, vo
         ground = Ground(elevation=one(elevation), friction=one(roughness), spacing=spacing, drag=drags)
     # Sand shears above what is rougher than itself.
     frictions = scene.floor_friction, scene.wall_friction, *map(scene.friction_of, scene.baffles)
-    floor, wall, *rough = (coefficient(each, 1.0) for each in frictions)
-    lower, extent = (np.array([getattr(each, key) for each in scene.baffles], np.float32) for key in ("lower", "size"))
-    turn = np.radians([each.turned_deg for each in scene.baffles])
+    floor, wall, *rough = (coefficient(surface, 1.0) for surface in frictions)
+    lower, extent = (
+        np.array([getattr(baffle, key) for baffle in scene.baffles], np.float32) for key in ("lower", "size")
+    )
+    turn = np.radians([baffle.turned_deg for baffle in scene.baffles])
     return Conditions(
         friction=torch.as_tensor(friction),
         cohesion=torch.as_tensor(cohesion),

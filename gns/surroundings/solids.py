@@ -38,21 +38,21 @@ class Boxes:
         turn = None if angle is None else (angle.cos(), angle.sin())
         return Boxes(middle=0.5 * (lower + upper), half=0.5 * (upper - lower) + margin, turn=turn)
 
-    def each(self, change: Callable[[Tensor], Tensor]) -> "Boxes":
+    def mapped(self, change: Callable[[Tensor], Tensor]) -> "Boxes":
         """The boxes after the same change of all their tensors."""
         turn = None if self.turn is None else (change(self.turn[0]), change(self.turn[1]))
         return Boxes(middle=change(self.middle), half=change(self.half), turn=turn)
 
     def select(self, rows: Tensor) -> "Boxes":
         """The boxes of these rows."""
-        return self.each(lambda part: part.index_select(0, rows))
+        return self.mapped(lambda part: part.index_select(0, rows))
 
     def one(self, box: Tensor) -> "Boxes":
         """Of n rows the box with this number [n] alone, K = 1."""
         row = torch.arange(len(box), device=box.device)
-        return self.each(lambda part: part[row, box].unsqueeze(1))
+        return self.mapped(lambda part: part[row, box].unsqueeze(1))
 
-    def own(self, points: Tensor) -> Tensor:
+    def in_axes(self, points: Tensor) -> Tensor:
         """Points [n, D] in the axes of their boxes [m], shape [n, K, D]."""
         vectors = points.unsqueeze(1) - self.middle
         return vectors if self.turn is None else rotated(vectors, self.turn[0], -self.turn[1])
@@ -63,7 +63,7 @@ class Boxes:
 
     def contain(self, points: Tensor, slack: float) -> Tensor:
         """Which points [n, D] are farther than `slack` [m] inside which box, shape [n, K]."""
-        return (self.own(points).abs() < self.half - slack).all(dim=2)
+        return (self.in_axes(points).abs() < self.half - slack).all(dim=2)
 
 
 def rotated(vectors: Tensor, cosine: Tensor, sine: Tensor, *, symmetric: bool = False) -> Tensor:
@@ -147,7 +147,7 @@ def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     if not near:
         far = torch.ones_like(positions[:, :1])
         return torch.cat((walls, far, torch.zeros_like(positions), torch.zeros_like(far)), dim=1)
-    distances, directions, frictions = (torch.stack(each) for each in zip(*near, strict=True))
+    distances, directions, frictions = (torch.stack(parts) for parts in zip(*near, strict=True))
     weights = _shares(1.0 - distances / cutoff, dim=0).unsqueeze(2)
     directed = torch.cat((directions, frictions.unsqueeze(2)), dim=2)
     nearest = (distances.min(dim=0).values / cutoff).unsqueeze(1)
@@ -175,7 +175,7 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     if len(near) == 0:
         return distance, direction, rough
     boxes = boxes.select(row)
-    x = boxes.own(positions.index_select(0, near))
+    x = boxes.in_axes(positions.index_select(0, near))
     q = x.abs() - boxes.half
     square = q.clamp(min=0.0).square().sum(dim=2)
     outside = square > 0.0

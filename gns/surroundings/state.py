@@ -22,12 +22,12 @@ class Input(NamedTuple):
 
 def columns(features: Mapping[str, Input], settings: ModelSettings) -> int:
     """Number of columns of `features`."""
-    return sum(each.count(settings) for each in features.values())
+    return sum(feature.count(settings) for feature in features.values())
 
 
 def computed(features: Mapping[str, Input], *given: Any) -> Tensor:
     """The columns of `features` beside each other in their order, each computed from what is `given`."""
-    return torch.cat([each.compute(*given) for each in features.values()], dim=1)
+    return torch.cat([feature.compute(*given) for feature in features.values()], dim=1)
 
 
 ABSENT = -10.0
@@ -41,12 +41,12 @@ class Tensors:
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
         """The same on another device, its real numbers in another precision; None leaves either as it is."""
         moved: dict[str, Any] = {}
-        for each in fields(self):
-            value = getattr(self, each.name)
+        for member in fields(self):
+            value = getattr(self, member.name)
             if isinstance(value, Tensor):
-                moved[each.name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
+                moved[member.name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
             elif isinstance(value, Tensors):
-                moved[each.name] = value.to(device, dtype)
+                moved[member.name] = value.to(device, dtype)
         return replace(self, **moved)
 
 
@@ -79,8 +79,8 @@ class State(Tensors):
     def joined(states: Sequence["State"]) -> "State":
         """Samples side by side."""
         return State(
-            positions=torch.cat([each.positions for each in states]),
-            displacements=torch.cat([each.displacements for each in states], dim=1),
+            positions=torch.cat([state.positions for state in states]),
+            displacements=torch.cat([state.displacements for state in states], dim=1),
         )
 
 
@@ -151,25 +151,25 @@ class Conditions(Tensors):
         Missing baffles become boxes of no size far outside, terrain ground far below; small rasters go on level.
         """
         names = ("friction", "cohesion", "volume", "size", "gravity", "floor_friction", "wall_friction", "damping")
-        found: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in samples]) for name in names}
-        counts = [0 if each.baffles is None else each.baffles.shape[1] for each in samples]
+        together: dict[str, Any] = {name: torch.cat([getattr(sample, name) for sample in samples]) for name in names}
+        counts = [0 if sample.baffles is None else sample.baffles.shape[1] for sample in samples]
         for name, absent in (("baffles", ABSENT), ("baffle_turn", 0.0), ("baffle_friction", 0.0)):
-            given = [getattr(each, name) for each in samples]
-            if some := [each for each in given if each is not None]:
+            given = [getattr(sample, name) for sample in samples]
+            if some := [tensor for tensor in given if tensor is not None]:
                 none = [some[0].new_full((count, *some[0].shape[2:]), absent) for count in counts]
-                rows = [other if each is None else each[0] for each, other in zip(given, none, strict=True)]
-                found[name] = pad_sequence(rows, batch_first=True, padding_value=absent)
-        if grounds := [each.ground for each in samples if each.ground is not None]:
-            shape = [max(counts) for counts in zip(*(each.elevation.shape[1:] for each in grounds), strict=True)]
+                rows = [other if tensor is None else tensor[0] for tensor, other in zip(given, none, strict=True)]
+                together[name] = pad_sequence(rows, batch_first=True, padding_value=absent)
+        if grounds := [sample.ground for sample in samples if sample.ground is not None]:
+            shape = [max(counts) for counts in zip(*(ground.elevation.shape[1:] for ground in grounds), strict=True)]
             rasters = {
-                name: torch.cat([level(each.ground, name, shape, absent) for each in samples])
+                name: torch.cat([level(sample.ground, name, shape, absent) for sample in samples])
                 for name, absent in (("elevation", ABSENT), ("friction", 0.0), ("drag", 0.0))
-                if any(getattr(each, name) is not None for each in grounds)
+                if any(getattr(ground, name) is not None for ground in grounds)
             }
-            found["ground"] = Ground(**rasters, spacing=grounds[0].spacing)
-        particles = torch.tensor([len(each.friction) for each in samples])
+            together["ground"] = Ground(**rasters, spacing=grounds[0].spacing)
+        particles = torch.tensor([len(sample.friction) for sample in samples])
         batch = torch.arange(len(samples)).repeat_interleave(particles)
-        return Conditions(batch=batch, units=samples[0].units, **found)
+        return Conditions(batch=batch, units=samples[0].units, **together)
 
 
 def in_model_units(state: State, conditions: Conditions) -> tuple[State, Conditions]:
@@ -199,5 +199,5 @@ def level(ground: Ground | None, name: str, shape: Sequence[int], absent: float)
     raster: Tensor | None = getattr(ground, name, None)
     if raster is None:
         return torch.full((1, *shape), absent)
-    behind = [end for count, own in zip(shape, raster.shape[1:], strict=True) for end in (count - own, 0)]
+    behind = [end for count, length in zip(shape, raster.shape[1:], strict=True) for end in (count - length, 0)]
     return functional.pad(raster, behind[::-1], mode="replicate")

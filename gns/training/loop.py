@@ -145,8 +145,8 @@ def fit(
             position.seconds = clock() - begun
             # The first process decides, so that all unroll the same steps, and a stop of one is a stop of all.
             wanted = position.due(training) or (baseline and not position.rows)
-            own = (position.progress(training), wanted) if first else (0.0, 0.0)
-            progress, due, stops = sums(*own, stop())
+            decision = (position.progress(training), wanted) if first else (0.0, 0.0)
+            progress, due, stops = sums(*decision, stop())
             if stops or (progress >= 1.0 and not due):
                 break
             if not due:
@@ -242,7 +242,7 @@ class TrainingRun:
         }
         row |= {name: round(mean, 4) for name, mean in amounts(scores).items()}
         position.rows.append(row)
-        lines = [row, *(each.values() for each in position.rows)]
+        lines = [row, *(logged.values() for logged in position.rows)]
         files.write_text(out / "log.csv", "".join(",".join(map(str, line)) + "\n" for line in lines))
         draw(out / "log.png", position)
         tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
@@ -265,12 +265,12 @@ class TrainingRun:
     def restore(self) -> None:
         """Go on where the run in `out` was. Raises InputError."""
         with reading(self.out / LAST, f"the {LAST} of a run of these settings"):
-            found = torch.load(self.out / LAST, map_location="cpu", weights_only=True)
-            if found["settings"] != asdict(self.simulator.settings):
+            saved = torch.load(self.out / LAST, map_location="cpu", weights_only=True)
+            if saved["settings"] != asdict(self.simulator.settings):
                 raise InputError("expected the model settings that the run was begun with")
             for name, part in self.parts.items():
-                part.load_state_dict(found[name])
-            self.position = Position(**found["position"])
+                part.load_state_dict(saved[name])
+            self.position = Position(**saved["position"])
 
 
 def draw(path: Path, position: Position) -> None:

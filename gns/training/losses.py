@@ -94,8 +94,10 @@ def density_loss(
     stencil = stencil_of(torch.cat((positions, targets)), conditions.size, cell, batch)
     none = torch.zeros_like(share)
     # Each summed in the same order, so that the same particles have the same density to the bit.
-    own, known = (stencil.scatter(torch.cat(each)).view(samples, -1) for each in ((share, none), (none, share)))
-    return weight * ((own - known).square().sum(dim=1) / known.square().sum(dim=1)).mean()
+    density, required = (
+        stencil.scatter(torch.cat(shares)).view(samples, -1) for shares in ((share, none), (none, share))
+    )
+    return weight * ((density - required).square().sum(dim=1) / required.square().sum(dim=1)).mean()
 
 
 class EndLoss(nn.Module):
@@ -117,11 +119,11 @@ class EndLoss(nn.Module):
         if (self.correction.std != 1.0).any():
             # Normalised before.
             return
-        found = []
-        for each in (rollouts.batch(0, np.random.default_rng(number)) for number in range(NORMALISED)):
-            end = simulator.moment(each.end, each.conditions)
-            found.append(self.correction.features(each.state, end, computed(NODES, end)))
-        every = torch.cat(found)
+        features = []
+        for ends in (rollouts.batch(0, np.random.default_rng(number)) for number in range(NORMALISED)):
+            end = simulator.moment(ends.end, ends.conditions)
+            features.append(self.correction.features(ends.state, end, computed(NODES, end)))
+        every = torch.cat(features)
         self.correction.mean.copy_(every.mean(dim=0))
         # What hardly varies in training, as the friction of the walls may, is not enlarged.
         deviation = every.std(dim=0)
@@ -131,11 +133,11 @@ class EndLoss(nn.Module):
         conditions = batch.conditions
         positions = batch.end.positions + self.correction(batch.state, self.simulator.moment(batch.end, conditions))
         error = (positions - batch.targets[-1]) / (PLACE * length_of(self.correction.settings))
-        found = []
+        extents = []
         for sample in range(len(conditions.size)):
-            own = slice(None) if conditions.batch is None else conditions.batch == sample
-            found.append(measured(positions[own], conditions.volume[own]))
-        off = (torch.stack(found) - batch.whole) / batch.whole[..., :2].sum(dim=2, keepdim=True)
+            members = slice(None) if conditions.batch is None else conditions.batch == sample
+            extents.append(measured(positions[members], conditions.volume[members]))
+        off = (torch.stack(extents) - batch.whole) / batch.whole[..., :2].sum(dim=2, keepdim=True)
         loss = huber(error) + OF_ENDS * huber(off[..., :2] / END) + OF_ENDS * huber(off[..., 2:] / SHARE)
         return loss + self.density(positions, batch.targets[-1], conditions)
 

@@ -106,8 +106,8 @@ def flow_of(path: Path, settings: ModelSettings) -> Flow:
     scene, frame_dt, units = trajectory.scene, trajectory.frame_dt, Units()
     check(scene, settings)
     if scene.gravity > 0.0:
-        own = Units.of_model(scene, settings)
-        units = own if math.isclose(frame_dt, own.time * settings.step, rel_tol=1.0e-9) else units
+        model_units = Units.of_model(scene, settings)
+        units = model_units if math.isclose(frame_dt, model_units.time * settings.step, rel_tol=1.0e-9) else units
     step = units.time * settings.step
     stride = round(step / frame_dt)
     fits = stride >= 1 and abs(stride * frame_dt - step) <= 1.0e-6 * step
@@ -136,13 +136,13 @@ class SampleBatch(Tensors):
 
 def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: np.random.Generator) -> SampleBatch:
     """A sample: the stretch of a flow with `steps` targets after index `now`; rng: which particles stay (`thin`)."""
-    cell, kept, known = flow.units.length * settings.cell, settings.particles_per_cell, flow.conditions
+    cell, kept, whole = flow.units.length * settings.cell, settings.particles_per_cell, flow.conditions
     particles, volumes = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
     first = max(0, now - settings.history)
     frames = torch.from_numpy(np.asarray(flow.positions[first : now + 1 + steps, particles]))
     given, velocity0 = frames[: now + 1 - first], torch.from_numpy(flow.velocity0[particles])
     conditions = replace(
-        known, friction=known.friction[particles], cohesion=known.cohesion[particles], volume=torch.from_numpy(volumes)
+        whole, friction=whole.friction[particles], cohesion=whole.cohesion[particles], volume=torch.from_numpy(volumes)
     )
     state = State.observed(given, velocity0, step=flow.step, history=settings.history)
     state, conditions = in_model_units(state, conditions)
@@ -152,9 +152,9 @@ def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: n
 def batched(samples: Sequence[SampleBatch]) -> SampleBatch:
     """Join samples; they have equally many targets."""
     return SampleBatch(
-        state=State.joined([each.state for each in samples]),
-        conditions=Conditions.joined([each.conditions for each in samples]),
-        targets=torch.cat([each.targets for each in samples], dim=1),
+        state=State.joined([sample.state for sample in samples]),
+        conditions=Conditions.joined([sample.conditions for sample in samples]),
+        targets=torch.cat([sample.targets for sample in samples], dim=1),
     )
 
 
@@ -216,7 +216,7 @@ class Rollouts(Sampler):
     def batch(self, steps: int, rng: np.random.Generator) -> Ends:
         """Ends side by side: half of them the flow's own, the other at any time."""
         drawn = [self._end(rng) for _ in range(self._training.batch)]
-        end, whole = State.joined([each.end for each in drawn]), torch.cat([each.whole for each in drawn])
+        end, whole = State.joined([ends.end for ends in drawn]), torch.cat([ends.whole for ends in drawn])
         return Ends(**vars(batched(drawn)), end=end, whole=whole)
 
     def _end(self, rng: np.random.Generator) -> Ends:
@@ -234,13 +234,13 @@ class Rollouts(Sampler):
         now, seed = self._start(flow, last - 1, rng), rng.integers(2**32)
         every = replace(settings, particles_per_cell=len(flow.volume))
         sample, whole = (
-            turned(stretch(flow, each, now=now, steps=last - now, rng=rng), np.random.default_rng(seed))
-            for each in (settings, every)
+            turned(stretch(flow, variant, now=now, steps=last - now, rng=rng), np.random.default_rng(seed))
+            for variant in (settings, every)
         )
         there = sample.to(self._simulator.displacement_scale.device)
         with torch.no_grad():
             positions = unroll(self._simulator, there.state, there.conditions, last - now, corrected=False).cpu()
-        moments = sorted({last - now, *(int(each) for each in rng.integers(1, last - now + 1, size=MOMENTS))})
+        moments = sorted({last - now, *(int(moment) for moment in rng.integers(1, last - now + 1, size=MOMENTS))})
         ends = []
         for step in moments:
             batch = replace(sample, targets=sample.targets[step - 1 : step])
@@ -255,18 +255,18 @@ def measured(positions: Tensor, volume: Tensor) -> Tensor:
     The end at larger coordinates, that at smaller ones times -1, and the middles of equal shares of the volume, as
     `datasets.flow.measures` has them along x. positions: [m], shape [N, D]; volume: of the particles [m^D], shape [N].
     """
-    found = []
+    lengths = []
     for axis in range(0, positions.shape[1], 2):
         x, order = positions[:, axis].sort()
         ordered = volume[order]
         for line, along in ((x, ordered), (-x.flip(0), ordered.flip(0))):
-            found.append((torch.from_numpy(measures.tail_weights(along.cpu().numpy())).to(x) @ line).unsqueeze(0))
+            lengths.append((torch.from_numpy(measures.tail_weights(along.cpu().numpy())).to(x) @ line).unsqueeze(0))
         middle = ordered.cumsum(dim=0) - 0.5 * ordered
         share = (torch.arange(measures.SHARES).to(x) + 0.5) / measures.SHARES * ordered.sum()
         after = torch.searchsorted(middle, share).clamp(1, len(x) - 1)
         part = ((share - middle[after - 1]) / (middle[after] - middle[after - 1])).clamp(0.0, 1.0)
-        found.append(torch.lerp(x[after - 1], x[after], part))
-    return torch.cat(found).view(-1, 2 + measures.SHARES)
+        lengths.append(torch.lerp(x[after - 1], x[after], part))
+    return torch.cat(lengths).view(-1, 2 + measures.SHARES)
 
 
 def turned(sample: SampleBatch, rng: np.random.Generator) -> SampleBatch:
@@ -299,8 +299,8 @@ def reflected(sample: SampleBatch, axis: int | None) -> SampleBatch:
         plan = [ground.spacing * torch.arange(count) for count in shape[1:]]
         posts = torch.stack(torch.meshgrid(plan[0], torch.zeros(1), *plan[1:], indexing="ij"), dim=-1)
         image = Below(points(posts.flatten(0, -2)), ground, None)
-        rasters: dict[str, Any] = {name: each for name, each in vars(ground).items() if isinstance(each, Tensor)}
-        rasters |= {name: image.value(each).view(shape) for name, each in rasters.items()}
+        rasters: dict[str, Any] = {name: raster for name, raster in vars(ground).items() if isinstance(raster, Tensor)}
+        rasters |= {name: image.value(raster).view(shape) for name, raster in rasters.items()}
         ground = replace(ground, **rasters)
     conditions = replace(
         around,
@@ -329,7 +329,7 @@ def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
         fall = flow.conditions.gravity.numpy()[0] * (flow.step**2 / flow.units.length)
         for time in filter(flow.moves, rng.choice(times, min(share, times), replace=False)):
             moved, then = np.diff(flow.positions[time : time + 3], axis=0) / flow.units.length
-            squares += [np.square(each, dtype=np.float64).sum() for each in (moved, then - moved - fall)]
+            squares += [np.square(change, dtype=np.float64).sum() for change in (moved, then - moved - fall)]
             count += moved.size
     displacement, acceleration = np.sqrt(squares / max(count, 1)).tolist()
     return Normalisation(

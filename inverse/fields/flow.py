@@ -36,7 +36,7 @@ class WhiteFlow:
         self.runs = self.reverses = 0
         """MPM runs and reverse passes so far."""
         self.bar = tqdm(desc="adjoint", unit="run", leave=False, disable=None)
-        ends = np.cumsum([0, *(each.prior.size for each in problem.fields), len(problem.numbers)])
+        ends = np.cumsum([0, *(unknown.prior.size for unknown in problem.fields), len(problem.numbers)])
         *self.parts, self.of_numbers = [slice(int(first), int(end)) for first, end in pairwise(ends)]
         """Which white numbers are those of each field; of all numbers."""
         self.size = int(ends[-1])
@@ -49,12 +49,12 @@ class WhiteFlow:
 
     def latents(self, white: Floats) -> list[Floats]:
         """u [K] of each field."""
-        return [each.prior.field(white[part]) for each, part in zip(self.problem.fields, self.parts, strict=True)]
+        return [unknown.prior.field(white[part]) for unknown, part in zip(self.problem.fields, self.parts, strict=True)]
 
     def fields(self, white: Floats) -> list[Floats]:
         """Values [K] of each field."""
         latents = zip(self.problem.fields, self.latents(white), strict=True)
-        return [each.values(latent) for each, latent in latents]
+        return [unknown.values(latent) for unknown, latent in latents]
 
     def values(self, white: Floats) -> Floats:
         """The numbers, shape [U]."""
@@ -66,7 +66,10 @@ class WhiteFlow:
 
     def simulated(self, points: Sequence[Floats], seeds: Sequence[int]) -> list[Trajectory]:
         """Runs at white numbers [W], each with its jitter seed."""
-        scenes, runs = [self.scene_at(each, seed) for each, seed in zip(points, seeds, strict=True)], list[Trajectory]()
+        scenes, runs = (
+            [self.scene_at(point, seed) for point, seed in zip(points, seeds, strict=True)],
+            list[Trajectory](),
+        )
         together, record = 2 * processors(), ALL if self.observation.over_time else LAST
         for first in range(0, len(scenes), together):
             runs += simulate_many(scenes[first : first + together], record=record)
@@ -89,16 +92,16 @@ class WhiteFlow:
         """
         rows = list[Floats]()
         for unknown, part in zip(self.problem.fields, self.parts, strict=True):
-            _, spread, own = np.linalg.svd(unknown.prior.field(np.eye(unknown.prior.size)), full_matrices=False)
+            _, spread, basis = np.linalg.svd(unknown.prior.field(np.eye(unknown.prior.size)), full_matrices=False)
             some = np.zeros((int((spread**2 > KEPT * spread[0] ** 2).sum()), self.size))
-            some[:, part] = own[: len(some)]
+            some[:, part] = basis[: len(some)]
             rows.append(some)
         return np.concatenate([*rows, np.eye(self.size)[self.of_numbers]])
 
     def differences(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
         """`jacobian` by runs `STEP` apart along `directions`."""
         points = [white, *(white + STEP * self.directions)]
-        shown = self.observe([each for each in points for _ in seeds], [*seeds] * len(points))
+        shown = self.observe([point for point in points for _ in seeds], [*seeds] * len(points))
         numbers = shown.reshape(len(points), len(seeds), -1).mean(axis=1)
         return np.asarray(combinations @ ((numbers[1:] - numbers[0]) / STEP).T @ self.directions)
 
@@ -116,7 +119,7 @@ class WhiteFlow:
             for row, gradients in enumerate(pull_back_all(tape, together)):
                 for index, gradient in enumerate(gradients):
                     explicit, both = seen[index][1][row], zip(self.problem.fields, fields, strict=True)
-                    nodes = [each.at_nodes(gradient, own, explicit, slopes[index]) for each, own in both]
+                    nodes = [unknown.at_nodes(gradient, values, explicit, slopes[index]) for unknown, values in both]
                     numbers = derivatives(gradient, self.problem.kinds, self.values(white), self.problem.scene)
                     jacobian[row] += self.pulled_back(nodes, numbers, white) / len(seeds)
             self.runs += len(scenes)
@@ -149,8 +152,8 @@ class WhiteFlow:
         )
         numbers, seen = self.observation.predict(rollout), (positions, rollout.volumes)
         rows = [
-            torch.autograd.grad(numbers, seen, torch.from_numpy(each), retain_graph=True, materialize_grads=True)
-            for each in combinations
+            torch.autograd.grad(numbers, seen, torch.from_numpy(combination), retain_graph=True, materialize_grads=True)
+            for combination in combinations
         ]
-        by_positions, by_volumes = ([each.numpy() for each in column] for column in zip(*rows, strict=True))
+        by_positions, by_volumes = ([gradient.numpy() for gradient in column] for column in zip(*rows, strict=True))
         return np.stack(by_positions), np.stack(by_volumes)

@@ -83,25 +83,27 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
     flow = WhiteFlow(problem, target.observation)
     lead, reason = leading(problem, target, model)
     if lead is None:
-        found = alone(flow, target, np.zeros(flow.size))
+        outcome = alone(flow, target, np.zeros(flow.size))
     else:
         print(f"the surrogate leads the search: {reason}", file=sys.stderr)
-        found = led(flow, lead, target)
-    answer = checked(flow, target, found)
+        outcome = led(flow, lead, target)
+    answer = checked(flow, target, outcome)
     if lead is not None and not answer.confirmed:
         print("the MPM does not confirm its answer and searches on by itself", file=sys.stderr)
-        found = replace(alone(flow, target, found.posterior.mean), surrogate=found.surrogate | {"confirmed": False})
-        answer = checked(flow, target, found)
-    posterior, shown = found.posterior, answer.checks[0].trajectory
+        outcome = replace(
+            alone(flow, target, outcome.posterior.mean), surrogate=outcome.surrogate | {"confirmed": False}
+        )
+        answer = checked(flow, target, outcome)
+    posterior, shown = outcome.posterior, answer.checks[0].trajectory
     flow.bar.close()
     fields = field_posteriors(flow, posterior)
-    unknowns = sum(int(each.unknown.inside.sum()) for each in fields) + len(problem.numbers)
+    unknowns = sum(int(field.unknown.inside.sum()) for field in fields) + len(problem.numbers)
     notes = [
         f"{unknowns} values from {len(target.values)} numbers: {posterior.informative} directions in which the "
         "observation tells more than the prior, by the Gaussian approximation about the most probable values."
     ]
     if lead is not None:
-        said, objective = found.surrogate, found.surrogate["objective"]
+        said, objective = outcome.surrogate, outcome.surrogate["objective"]
         word = "" if "confirmed" not in said else " The MPM did not confirm it and searched by itself."
         notes.append(
             f"The surrogate found its answer by {said['predictions']} predictions and {said['reverse_passes']} reverse "
@@ -124,20 +126,20 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
         forward="MPM",
         predicted=answer.observation,
         deposit=shown.positions[-1],
-        iterations=found.iterates,
+        iterations=outcome.iterates,
         mpm_runs=answer.checks,
         fields=tuple(fields),
         notes=tuple(notes),
-        surrogate={"asked": lead is not None, "reason": reason} | found.surrogate,
+        surrogate={"asked": lead is not None, "reason": reason} | outcome.surrogate,
         seconds={"total": total, "processors": time.process_time() - used},
         record=cost | {"combinations": len(posterior.jacobian), "eigenvalues": posterior.decomposition[0].tolist()},
     )
 
 
-def checked(flow: WhiteFlow, target: Target, found: Found) -> Answer:
+def checked(flow: WhiteFlow, target: Target, outcome: Found) -> Answer:
     """The answer, with runs of the MPM there."""
-    problem, posterior, values = flow.problem, found.posterior, flow.values(found.posterior.mean)
-    seeds = range(problem.scatter_seeds[-1] + 1, problem.scatter_seeds[-1] + 1 + found.checks)
+    problem, posterior, values = flow.problem, outcome.posterior, flow.values(outcome.posterior.mean)
+    seeds = range(problem.scatter_seeds[-1] + 1, problem.scatter_seeds[-1] + 1 + outcome.checks)
     spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.of_numbers] ** 2).sum(axis=1), 0.0))
     ends = [ndtr(posterior.mean[flow.of_numbers] + sign * BAND * spread) for sign in (1.0, -1.0)]
     checks = tuple(
@@ -151,8 +153,8 @@ def checked(flow: WhiteFlow, target: Target, found: Found) -> Answer:
         )
         for number, run in enumerate(flow.simulated([posterior.mean] * len(seeds), seeds))
     )
-    numbers = np.stack([each.numbers for each in checks])
-    together = found.runs if len(checks) == 1 else numbers
+    numbers = np.stack([run.numbers for run in checks])
+    together = outcome.runs if len(checks) == 1 else numbers
     expected = target.observation.prior_scatter(target.values)
     scatter = Scatter(deviations=together - together.mean(axis=0), freedom=len(together) - 1, expected=expected)
     return Answer(
@@ -194,28 +196,32 @@ def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
     """By the derivatives of a surrogate, then by runs of the MPM: most correct both, the last check the answer."""
     began, start = time.perf_counter(), np.zeros(flow.size)
     error = lead.errors(start) if isinstance(lead, SurrogateFlow) else np.zeros((0, len(target.values)))
-    found = searched(lead, target, target.errors.matrix + error.T @ error, start)
-    seconds, own = time.perf_counter() - began, found.posterior
+    outcome = searched(lead, target, target.errors.matrix + error.T @ error, start)
+    seconds, posterior = time.perf_counter() - began, outcome.posterior
     # Two flows of the MPM at the answer say how much its own scatter is of the surrogate's, whose shape it has.
-    seeds, shape = [flow.problem.scene.seed, flow.problem.scatter_seeds[0]], shrunk(found.runs)
-    pair = flow.observe([own.mean] * 2, seeds)
+    seeds, shape = [flow.problem.scene.seed, flow.problem.scatter_seeds[0]], shrunk(outcome.runs)
+    pair = flow.observe([posterior.mean] * 2, seeds)
     scatter = 0.5 * float(((pair[0] - pair[1]) ** 2).sum()) / float(np.trace(shape)) * shape
     # The MPM has no error of a surrogate.
     covariance = target.errors.matrix + 2.0 * scatter
-    objective = Objective(flow, target.values, covariance, seeds[:1], combinations=own.combinations)
-    corrected = objective.corrected(own, pair[0], LED_RUNS - LED_CHECKS - len(pair), scatter)
+    objective = Objective(flow, target.values, covariance, seeds[:1], combinations=posterior.combinations)
+    corrected = objective.corrected(posterior, pair[0], LED_RUNS - LED_CHECKS - len(pair), scatter)
     said = {
         "unknowns": {
-            each.settings.name: float(values[each.inside].mean())
-            for each, values in zip(lead.problem.fields, lead.fields(own.mean), strict=True)
+            unknown.settings.name: float(values[unknown.inside].mean())
+            for unknown, values in zip(lead.problem.fields, lead.fields(posterior.mean), strict=True)
         },
         "seconds": seconds,
         "predictions": lead.runs,
         "reverse_passes": lead.reverses,
-        "objective": [each["objective"] for each in objective.iterates],
+        "objective": [iterate["objective"] for iterate in objective.iterates],
     }
     return replace(
-        found, posterior=corrected, iterates=[*found.iterates, *objective.iterates], checks=LED_CHECKS, surrogate=said
+        outcome,
+        posterior=corrected,
+        iterates=[*outcome.iterates, *objective.iterates],
+        checks=LED_CHECKS,
+        surrogate=said,
     )
 
 

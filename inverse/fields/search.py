@@ -132,7 +132,7 @@ class Objective:
             white, numbers = tried, shown
             self.iterates.append(iterate)
 
-    def corrected(self, found: Gaussian, numbers: Floats, runs: int, scatter: Floats) -> Gaussian:
+    def corrected(self, posterior: Gaussian, numbers: Floats, runs: int, scatter: Floats) -> Gaussian:
         """From what another flow found, whose derivatives are corrected by at most so many runs of this one.
 
         numbers: of a run at its answer [M].
@@ -143,13 +143,13 @@ class Objective:
 
             G <- G + k e dw^T / |dw|^2,    e = L^-1 dF - G dw,    k = max(0, 1 - E|n|^2 / |e|^2)
 
-        k, James and Stein's shrinkage, leaves out what the scatter n of two runs explains. scatter: C [M, M]; found:
-        its combinations are those of this objective.
+        k, James and Stein's shrinkage, leaves out what the scatter n of two runs explains. scatter: C [M, M];
+        posterior: its combinations are those of this objective.
         """
-        jacobian = np.linalg.solve(self.change.T, found.jacobian)
+        jacobian = np.linalg.solve(self.change.T, posterior.jacobian)
         whitened = self.rows @ self.whitened(self.whitened(scatter).T).T
         noise = 2.0 * float((whitened * self.rows).sum())
-        white, step = found.mean, 1.0
+        white, step = posterior.mean, 1.0
         self.iterates.append(self.iterate(white, numbers, 0.0))
         lowest = self.iterates[0]["objective"]
         while True:
@@ -157,7 +157,7 @@ class Objective:
             proposed = linear_mean(jacobian, white, residual)
             promised = gain(jacobian, residual, white, proposed - white)
             if promised < CONVERGED or len(self.iterates) > runs:
-                return Gaussian(white, jacobian, promised, found.combinations)
+                return Gaussian(white, jacobian, promised, posterior.combinations)
             moved = step * (proposed - white)
             shown, iterate = self.evaluated(white + moved, step)
             self.iterates.append(iterate)

@@ -50,7 +50,7 @@ class SurrogateFlow(WhiteFlow):
     def begin(self, seed: int) -> tuple[InitialState, list[Enter]]:
         """The initial state of a jitter seed at the medians of the prior, and how each field enters it."""
         initial = self.forward.begin(replace(self.problem.scene, seed=seed))
-        return initial, [entering(each, initial) for each in self.problem.fields]
+        return initial, [entering(unknown, initial) for unknown in self.problem.fields]
 
     def started(self, values: Tensor, fields: Sequence[Tensor], seed: int) -> InitialState:
         """The initial state with numbers [U] and the values [K] of each field, differentiable in them."""
@@ -59,8 +59,8 @@ class SurrogateFlow(WhiteFlow):
             kind = self.problem.kinds[index]
             assert kind.input is not None, "an input of the surrogate"
             initial = kind.input(kind, initial, values[index])
-        for enter, own in zip(entries, fields, strict=True):
-            initial = enter(initial, own)
+        for enter, field in zip(entries, fields, strict=True):
+            initial = enter(initial, field)
         return initial
 
     def predicted(self, values: Tensor, fields: Sequence[Tensor], seed: int) -> Tensor:
@@ -72,18 +72,18 @@ class SurrogateFlow(WhiteFlow):
 
     def observe(self, points: Sequence[Floats], seeds: Sequence[int]) -> Floats:
         with torch.no_grad():
-            rows = [self.predicted(*self.tensors(each), seed) for each, seed in zip(points, seeds, strict=True)]
-        return np.stack([each.numpy() for each in rows])
+            rows = [self.predicted(*self.tensors(point), seed) for point, seed in zip(points, seeds, strict=True)]
+        return np.stack([row.numpy() for row in rows])
 
     def jacobian(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
         jacobian = np.zeros((len(combinations), self.size))
         for seed in seeds:
             values, fields = self.tensors(white)
-            leaves = [each.requires_grad_() for each in (values, *fields)]
+            leaves = [leaf.requires_grad_() for leaf in (values, *fields)]
             numbers = self.predicted(values, fields, seed)
-            for row, each in enumerate(combinations):
+            for row, combination in enumerate(combinations):
                 slopes = torch.autograd.grad(
-                    numbers, leaves, torch.from_numpy(each), retain_graph=True, materialize_grads=True
+                    numbers, leaves, torch.from_numpy(combination), retain_graph=True, materialize_grads=True
                 )
                 by_numbers, *by_nodes = (slope.numpy() for slope in slopes)
                 jacobian[row] += self.pulled_back(by_nodes, by_numbers, white) / len(seeds)
@@ -93,7 +93,7 @@ class SurrogateFlow(WhiteFlow):
 
     def tensors(self, white: Floats) -> tuple[Tensor, list[Tensor]]:
         """The numbers [U] and the values [K] of each field at white numbers [W]."""
-        return torch.from_numpy(self.values(white)), [torch.from_numpy(each) for each in self.fields(white)]
+        return torch.from_numpy(self.values(white)), [torch.from_numpy(field) for field in self.fields(white)]
 
     def errors(self, white: Floats) -> Floats:
         """Columns of the covariance of its errors by its band, shape [columns, M]."""
@@ -105,8 +105,8 @@ def entering(unknown: UnknownField, initial: InitialState) -> Enter:
     settings, scene, kept = unknown.settings, initial.scene, initial.indices
     if settings.solid is not None:
         return entering_bed(unknown, initial)
-    own = unknown.of(np.repeat(np.arange(len(scene.masses), dtype=np.int32), mass_counts(scene)))
-    rows, here = np.cumsum(own) - 1, torch.from_numpy(own[kept])
+    members = unknown.of(np.repeat(np.arange(len(scene.masses), dtype=np.int32), mass_counts(scene)))
+    rows, here = np.cumsum(members) - 1, torch.from_numpy(members[kept])
     weights = torch.from_numpy(unknown.weights(unknown.places(scene)).tocsr()[rows[kept]].toarray())
     positions = initial.state.positions
     if settings.quantity == THICKNESS:
@@ -116,9 +116,9 @@ def entering(unknown: UnknownField, initial: InitialState) -> Enter:
 
         def enter(initial: InitialState, values: Tensor) -> InitialState:
             stretch = torch.where(here, (weights @ values) / (weights @ median), 1.0).to(positions.dtype)
-            known = initial.state.positions
-            up = ground + (known[:, UP] - ground) * stretch
-            raised = torch.cat((known[:, :UP], up.unsqueeze(1), known[:, UP + 1 :]), dim=1)
+            points = initial.state.positions
+            up = ground + (points[:, UP] - ground) * stretch
+            raised = torch.cat((points[:, :UP], up.unsqueeze(1), points[:, UP + 1 :]), dim=1)
             initial = replace(initial, state=replace(initial.state, positions=raised))
             return initial.with_conditions(volume=initial.conditions.volume * stretch)
 
@@ -136,9 +136,9 @@ def entering(unknown: UnknownField, initial: InitialState) -> Enter:
         along = torch.arange(positions.shape[1]) == VELOCITIES.index(settings.quantity)
 
         def enter(initial: InitialState, values: Tensor) -> InitialState:
-            known = initial.state.displacements
-            displacement = ((weights @ values) * initial.step).to(known.dtype).unsqueeze(1)
-            thrown = torch.where(here.unsqueeze(1) & along, displacement, known)
+            displacements = initial.state.displacements
+            displacement = ((weights @ values) * initial.step).to(displacements.dtype).unsqueeze(1)
+            thrown = torch.where(here.unsqueeze(1) & along, displacement, displacements)
             return replace(initial, state=replace(initial.state, displacements=thrown))
 
     return enter
@@ -151,14 +151,14 @@ def entering_bed(unknown: UnknownField, initial: InitialState) -> Enter:
     top = ground_raster(initial.scene, ground.spacing)[2]
     axes = np.meshgrid(*(ground.spacing * np.arange(count) for count in top.shape), indexing="ij")
     shares = torch.from_numpy(unknown.on_bed(initial.scene, np.stack(axes, axis=-1).reshape(-1, 2)))
-    own: NDArray[np.bool_] = top == unknown.settings.solid
+    mask: NDArray[np.bool_] = top == unknown.settings.solid
 
     def enter(initial: InitialState, values: Tensor) -> InitialState:
         ground = initial.conditions.ground
         assert ground is not None, "a terrain in 3D"
         friction = (shares @ values).reshape(top.shape).to(ground.friction.dtype)
-        found = torch.where(torch.from_numpy(own), friction, ground.friction)
-        return initial.with_conditions(ground=replace(ground, friction=found))
+        merged = torch.where(torch.from_numpy(mask), friction, ground.friction)
+        return initial.with_conditions(ground=replace(ground, friction=merged))
 
     return enter
 
@@ -177,9 +177,9 @@ def leading(problem: Problem, target: Target, model: Path | None = None) -> tupl
         return WhiteFlow(coarse, observation), "it is the MPM on cells twice as large"
     weights = model_path(model or shipped(scene))
     lacks, simulator = "", checkpoint.load(weights).simulator
-    if without := [each.name for each in problem.numbers if each.kind.input is None]:
+    if without := [number.name for number in problem.numbers if number.kind.input is None]:
         lacks = f"{', '.join(without)} is no input of it"
-    if not (observation.of_positions or all(each.observation.dense for each in observation.parts)):
+    if not (observation.of_positions or all(part.observation.dense for part in observation.parts)):
         lacks = f"it does not predict {observation.label}"
     reason = lacks or unfamiliar(weights, simulator.settings, scene)
     # Out of its range it leads where it is asked to.

@@ -49,8 +49,8 @@ class AdjointRun:
         self.scene, self.options = scene, {"precision": "f32"} | options
         self.frames = [scene.frames - 1] if frames is None else sorted(frames)
         self.kinds = [kind(name) for name in names]
-        for each in self.kinds:
-            each.check(scene)
+        for parameter in self.kinds:
+            parameter.check(scene)
 
     def __call__(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Positions [m] and velocities [m/s] of the particles at the frames, shape [T, N, D], of parameters [U]."""
@@ -71,28 +71,30 @@ class AdjointRun:
             return torch.from_numpy(derivatives(gradient, self.kinds, values, self.scene))
 
         tape = Tape([dataclasses.replace(scene, seed=seed) for seed in seeds], self.frames, **self.options)
-        found = _Flow.apply(tape, slopes, parameters)  # type: ignore[no-untyped-call]
-        return [AdjointFlow(*found[first : first + 3]) for first in range(0, len(found), 3)]
+        outputs = _Flow.apply(tape, slopes, parameters)  # type: ignore[no-untyped-call]
+        return [AdjointFlow(*outputs[first : first + 3]) for first in range(0, len(outputs), 3)]
 
 
 def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector, scene: Scene) -> Vector:
     """dJ/d(parameters) at `values` [U] of `scene`, shape [U], from the gradient with respect to a run's start."""
-    found = np.zeros(len(values))
+    slopes = np.zeros(len(values))
     by_mass, run = gradient.of_mass(gradient.velocities), gradient.scene
     given = dataclasses.replace(scene, seed=run.seed, step_fraction=run.step_fraction, fields=run.fields)
-    for index, each in enumerate(kinds):
-        if isinstance(each, Velocity):
-            found[index] = by_mass[each.index, each.axis]
+    for index, parameter in enumerate(kinds):
+        if isinstance(parameter, Velocity):
+            slopes[index] = by_mass[parameter.index, parameter.axis]
             continue
         # What one body or solid has changes nothing else; a constant that bodies share enters those with others, too.
-        own = [n for n, other in enumerate(kinds) if (other.group, other.index) == (each.group, each.index)]
-        base, moved = (run, own) if each.group else (given, list(range(len(kinds))))
+        siblings = [
+            n for n, other in enumerate(kinds) if (other.group, other.index) == (parameter.group, parameter.index)
+        ]
+        base, moved = (run, siblings) if parameter.group else (given, list(range(len(kinds))))
 
         def scene_at(value: float, index: int = index, base: Scene = base, moved: list[int] = moved) -> Scene:
             return with_kinds(base, [kinds[n] for n in moved], [value if n == index else values[n] for n in moved])
 
-        found[index] = gradient.along(scene_at, float(values[index]))
-    return found
+        slopes[index] = gradient.along(scene_at, float(values[index]))
+    return slopes
 
 
 class _Flow(torch.autograd.Function):
@@ -102,14 +104,16 @@ class _Flow(torch.autograd.Function):
     def forward(ctx: Any, tape: Tape, slopes: Callable[[Gradient], Tensor], parameters: Tensor) -> tuple[Tensor, ...]:
         ctx.tape, ctx.slopes, ctx.dtype = tape, slopes, parameters.dtype
         observed = (tape.positions, tape.velocities, tape.impulses)
-        return tuple(torch.from_numpy(each(index)) for index in range(len(tape.batch.scenes)) for each in observed)
+        return tuple(
+            torch.from_numpy(observable(index)) for index in range(len(tape.batch.scenes)) for observable in observed
+        )
 
     @staticmethod
     def backward(ctx: Any, *adjoints: Tensor) -> tuple[Any, ...]:
-        given = [each.detach().numpy().astype(np.float64) for each in adjoints]
+        given = [adjoint.detach().numpy().astype(np.float64) for adjoint in adjoints]
         positions, velocities, impulses = given[::3], given[1::3], given[2::3]
         # Most objectives depend on no force, and pay for none.
-        forces: list[Any] = impulses if any(each.any() for each in impulses) else [None] * len(impulses)
+        forces: list[Any] = impulses if any(impulse.any() for impulse in impulses) else [None] * len(impulses)
         flows = map(FlowAdjoints, positions, velocities, forces)
         (gradients,) = pull_back_all(ctx.tape, [list(flows)])
         return None, None, sum(map(ctx.slopes, gradients)).to(ctx.dtype)
@@ -130,7 +134,7 @@ class AdjointForward(MpmForward):
     def predict(self, parameters: Tensor, /) -> Tensor:
         """The smooth observation, float64 of shape [m] or [S, m], of parameters, float64 of shape [U] or [S, U]."""
         if parameters.dim() == 2:
-            return torch.stack([self.predict(each) for each in parameters])
+            return torch.stack([self.predict(vector) for vector in parameters])
         flow = self.run.flow(parameters)
         followed = self.indices if self.observation.every_particle else slice(None)
         volumes = torch.from_numpy(initial_volumes(self.problem.scene_at(parameters.detach().numpy()))[followed])

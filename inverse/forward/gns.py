@@ -111,18 +111,18 @@ class GnsForward:
         """
         if parameters.dim() == 1:
             return self.predict(parameters.unsqueeze(0))[0]
-        return torch.stack([self.observed(*each) for each in self._flows(parameters)])
+        return torch.stack([self.observed(*flow) for flow in self._flows(parameters)])
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """The smooth observation [m] at each vector of parameters [U], in batches of at most `NODES` particles."""
         size = max(1, NODES // len(self.indices))
-        missing = [each for each in parameters if each.tobytes() not in self.flows]
+        missing = [vector for vector in parameters if vector.tobytes() not in self.flows]
         with torch.no_grad():
             for first in range(0, len(missing), size):
                 batch = missing[first : first + size]
                 flows = self._flows(torch.from_numpy(np.stack(batch)))
-                self.flows |= {each.tobytes(): flow for each, flow in zip(batch, flows, strict=True)}
-            return [self.observed(*self.flows[each.tobytes()]).numpy() for each in parameters]
+                self.flows |= {vector.tobytes(): flow for vector, flow in zip(batch, flows, strict=True)}
+            return [self.observed(*self.flows[vector.tobytes()]).numpy() for vector in parameters]
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
         """Errors of the numbers at parameters [U] by the band, shape [K, m].
@@ -133,13 +133,17 @@ class GnsForward:
         with torch.no_grad():
             start = self.entered(torch.from_numpy(parameters))
             path = self.unrolled([start])
-            own = self.observed(path, start)
-            found = torch.stack([self.observed(each, start) - own for each in self.band.moved(path)]).numpy()
+            numbers = self.observed(path, start)
+            differences = torch.stack(
+                [self.observed(moved, start) - numbers for moved in self.band.moved(path)]
+            ).numpy()
         if self.observation.every_particle:
-            count = found.shape[1]
+            count = differences.shape[1]
             extent = float(path[-1, :, 0].max() - path[0, :, 0].min())
-            found = np.concatenate([found, self.band.profile * extent / NORMAL * count**0.25 * np.eye(count)])
-        return found
+            differences = np.concatenate(
+                [differences, self.band.profile * extent / NORMAL * count**0.25 * np.eye(count)]
+            )
+        return differences
 
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
         """Final positions of the particles [m], shape [n, D]."""
@@ -173,19 +177,19 @@ class GnsForward:
 
     def _flows(self, parameters: Tensor) -> list[Flow]:
         """The flow with each of parameters [S, U], all in one batch where their particles are the same."""
-        starts = [self.entered(each) for each in parameters]
+        starts = [self.entered(vector) for vector in parameters]
         if self.other_particles:
-            return [(self.unrolled([each]), each) for each in starts]
+            return [(self.unrolled([start]), start) for start in starts]
         paths = self.unrolled(starts)
         flows = paths.reshape(len(paths), len(starts), -1, paths.shape[2])
-        return [(each, self.initial) for each in flows.unbind(1)]
+        return [(path, self.initial) for path in flows.unbind(1)]
 
     def unrolled(self, starts: Sequence[InitialState]) -> Tensor:
         """Positions [m] of flows of the same particles side by side, at the times of each, shape [T, flows n, D]."""
         state, conditions, steps = starts[0].state, starts[0].conditions, starts[0].steps
         if len(starts) > 1:
-            state = State.joined([each.state for each in starts])
-            conditions = Conditions.joined([each.conditions for each in starts])
+            state = State.joined([start.state for start in starts])
+            conditions = Conditions.joined([start.conditions for start in starts])
         kept = min(steps, self.kept_steps // len(starts))
         return on_threads(1, unroll, self.simulator, state, conditions, steps, kept_steps=kept)
 
@@ -193,15 +197,15 @@ class GnsForward:
 def band_of(weights: Path, scene: Scene) -> Band:
     """That of the model in the file `weights` for `scene`, by its card; the usual one where it says nothing."""
     described = card.read(weights)
-    known = described.calibration(scene) if described is not None else None
-    return Band() if known is None else Band(front=known.front["0.95"], profile=known.profile["0.95"])
+    calibration = described.calibration(scene) if described is not None else None
+    return Band() if calibration is None else Band(front=calibration.front["0.95"], profile=calibration.profile["0.95"])
 
 
 def require_predicted(problem: Problem) -> None:
     """Raise InputError, which names the key, for numbers or observations that no surrogate has."""
-    for index, each in enumerate(problem.parameters):
-        if not each.kind.predicted:
-            message = f"expected an input of the surrogate, {each.name} is none"
+    for index, parameter in enumerate(problem.parameters):
+        if not parameter.kind.predicted:
+            message = f"expected an input of the surrogate, {parameter.name} is none"
             raise InputError(message, where=problem.name, key=f"unknowns[{index}]")
     for index, operator in enumerate(problem.operators):
         if not operator.of_positions:
@@ -211,8 +215,8 @@ def require_predicted(problem: Problem) -> None:
 
 def unfamiliar(weights: Path, settings: ModelSettings, scene: Scene) -> str:
     """What of a scene the model in the file `weights` was not trained on, in words; empty where it knows all."""
-    known = card.read(weights)
-    strange = outside(scene, known.ranges) if known is not None else []
+    described = card.read(weights)
+    strange = outside(scene, described.ranges) if described is not None else []
     try:
         check(scene, settings)
     except InputError as error:

@@ -34,7 +34,7 @@ class MpmForward:
         """The exact observation [m] of an MPM run at each vector of parameters [U]."""
         scenes = [self.problem.scene_at(values) for values in parameters]
         trajectories = self.simulate(scenes, record=recording([self.observation]))
-        flows = [self.problem.clocked(*each) for each in zip(trajectories, parameters, strict=True)]
+        flows = [self.problem.clocked(*pair) for pair in zip(trajectories, parameters, strict=True)]
         return [self.select(self.observation.observe(flow)) for flow in flows]
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:

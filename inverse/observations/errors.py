@@ -93,7 +93,7 @@ class Covariance:
     @staticmethod
     def joined(parts: Sequence["Covariance"]) -> "Covariance":
         """That of the numbers of all parts, one after the other; errors of two parts are independent."""
-        return Covariance(np.concatenate([each.deviation for each in parts]), block_diag(*(e.matrix for e in parts)))
+        return Covariance(np.concatenate([part.deviation for part in parts]), block_diag(*(e.matrix for e in parts)))
 
     @property
     def matrix(self) -> Floats:

@@ -176,7 +176,9 @@ class PeakForce(Impulse):
         impulse = self.recorded(impulses)
         starts = np.concatenate([time, time - self.window])
         starts = starts[(starts >= time[0]) & (starts <= time[-1] - self.window * (1.0 - 1e-9))]
-        first, last = (at_times(lambda value: value, impulse, time, each) for each in (starts, starts + self.window))
+        first, last = (
+            at_times(lambda value: value, impulse, time, moments) for moments in (starts, starts + self.window)
+        )
         return abs((last - first) / self.window).max().reshape(1)
 
 
@@ -227,7 +229,9 @@ class PorePressure(SmoothObservation):
         require(x is not None, "x", "the x [m] of the gauges", "none")
         require(times is not None, "times", "the times [s] at which the gauges are read", "none")
         require((z is None) == (scene.dimension == 2), "z", "the z [m] of the gauges in 3D, none in 2D", z)
-        columns = {key: np.array(each, np.float64) for key, each in (("x", x), ("y", y), ("z", z)) if each is not None}
+        columns = {
+            key: np.array(places, np.float64) for key, places in (("x", x), ("y", y), ("z", z)) if places is not None
+        }
         require(len({*map(len, columns.values())}) == 1, "x", "as many x, y and z as gauges", "others")
         for key, places in columns.items():
             length = scene.domain.size["xyz".index(key)]
@@ -303,11 +307,11 @@ def every_time(settings: GaugesSettings | PorePressureSettings, *places: str) ->
     Otherwise as they are: of other numbers of gauges and times every gauge stands for every time.
     """
     times, count = settings.times, len(settings.x or ())
-    found = {name: getattr(settings, name) for name in places}
+    given = {name: getattr(settings, name) for name in places}
     if times is None or len(times) != count or len(settings.values or ()) != count**2:
-        return found | {"times": times}
-    found = {name: None if at is None else tuple(np.repeat(at, count).tolist()) for name, at in found.items()}
-    return found | {"times": times * count}
+        return given | {"times": times}
+    given = {name: None if at is None else tuple(np.repeat(at, count).tolist()) for name, at in given.items()}
+    return given | {"times": times * count}
 
 
 def read_at(gauges: Floats, times: Values) -> tuple[Floats, Values]:

@@ -157,8 +157,8 @@ def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> 
         if last <= EDGE * height.max():
             continue
         # The nearest face that looks at the end.
-        reached = [each[1 - number] for each in solids if side * (last_x - each[1 - number]) >= -1e-6]
-        face = side * max(side * each for each in (*reached, wall))
+        reached = [span[1 - number] for span in solids if side * (last_x - span[1 - number]) >= -1e-6]
+        face = side * max(side * place for place in (*reached, wall))
         gap = side * (last_x - face)
         if gap > 1e-6:
             off = inwards[:ALONG] - inwards[:ALONG].mean()
@@ -176,10 +176,10 @@ def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> 
             gap -= step
         if gap <= 1e-6:
             ends[number] = face
-    found, within = np.array(rows), (ends[0], ends[1])
+    points, within = np.array(rows), (ends[0], ends[1])
     return MeasuredProfile(
-        x=found[:, 0],
-        height=found[:, 1],
+        x=points[:, 0],
+        height=points[:, 1],
         gaps=np.array(open_rows) if any(open_rows) else None,
         ends=None if within == (0.0, scene.domain.size[0]) else within,
     )
@@ -187,6 +187,6 @@ def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> 
 
 def faces(scene: Scene) -> list[tuple[float, float]]:
     """Between which two x each baffle or solid but terrain stands [m]."""
-    standing = [each for each in zip(*solids_of(scene), strict=True) if each[0].kind != "terrain"]
+    standing = [pair for pair in zip(*solids_of(scene), strict=True) if pair[0].kind != "terrain"]
     rows = [closed_body(solid, key, scene.domain).vertices[:, 0] for solid, key in standing]
     return [(float(x.min()), float(x.max())) for x in rows]

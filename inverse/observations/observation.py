@@ -221,7 +221,7 @@ class Joint(Observation):
 
 def recording(observations: Sequence[Observation]) -> Recording:
     """What a run of the MPM has to record for these."""
-    moving, wet = (any(getattr(each, key) for each in observations) for key in ("over_time", "of_water"))
+    moving, wet = (any(getattr(observation, key) for observation in observations) for key in ("over_time", "of_water"))
     return Recording(frames="all" if moving else "last", pore_pressure=wet)
 
 

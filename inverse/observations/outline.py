@@ -94,8 +94,8 @@ class Boundary(SmoothObservation):
     def covered(self, thickness: Floats) -> shapely.Geometry:
         """Where thicknesses [K] exceed that of the outline, single islands left out."""
         polygons = region_above(self.grid, thickness.reshape(self.grid.nodes), self.thickness).geoms
-        largest = max((each.area for each in polygons), default=0.0)
-        return shapely.union_all([each for each in polygons if each.area >= ISLAND * largest])
+        largest = max((polygon.area for polygon in polygons), default=0.0)
+        return shapely.union_all([polygon for polygon in polygons if polygon.area >= ISLAND * largest])
 
     def heights(self, positions: Tensor, volumes: Tensor) -> Tensor:
         """Thickness in the cells of the grid [m], shape [K]."""
@@ -103,8 +103,8 @@ class Boundary(SmoothObservation):
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         heights = self.heights(positions, volumes)
-        known = heights.detach().numpy()
-        model = self.covered(known)
+        thickness = heights.detach().numpy()
+        model = self.covered(thickness)
         if model.is_empty:
             # Nothing is left: as far off as the box is long.
             return torch.full((self.count,), -max(self.scene.domain.size), dtype=torch.float64)
@@ -115,7 +115,7 @@ class Boundary(SmoothObservation):
             return torch.from_numpy(distance)
         nearest = shapely.get_coordinates(shapely.shortest_line(self.points, edge))[1::2]
         steps = 0.5 * self.scene.domain.cell * np.eye(2)
-        slopes = [(self.grid.weights(nearest + step) - self.grid.weights(nearest - step)) @ known for step in steps]
+        slopes = [(self.grid.weights(nearest + step) - self.grid.weights(nearest - step)) @ thickness for step in steps]
         steep = np.maximum(np.hypot(*slopes) / self.scene.domain.cell, 1e-12)
         at_edge = torch.from_numpy(self.grid.weights(nearest).toarray()) @ heights
         moved: Tensor = torch.from_numpy(distance) + (at_edge - at_edge.detach()) / torch.from_numpy(steep)
@@ -176,17 +176,17 @@ class OutlineSettings(LengthsSettings):
             else:
                 features = read_polygons(path, crs)
                 # Our own file has what the flow covered beside the deposit, for each threshold.
-                deposit = [each for each in features if each.attributes.get("name") == "deposit"]
-                levels = sorted({float(each.attributes.get("threshold_m", 0.0)) for each in deposit} - {0.0})
+                deposit = [feature for feature in features if feature.attributes.get("name") == "deposit"]
+                levels = sorted({float(feature.attributes.get("threshold_m", 0.0)) for feature in deposit} - {0.0})
                 if levels:
                     thickness = levels[0] if thickness is None else thickness
-                    known = ", ".join(f"{level:g}" for level in levels)
-                    require(thickness in levels, "thickness", f"one of the file's, {known}", thickness)
-                    deposit = [each for each in deposit if each.attributes["threshold_m"] == thickness]
-                polygons = [each.polygon for each in deposit or features]
+                    choices = ", ".join(f"{level:g}" for level in levels)
+                    require(thickness in levels, "thickness", f"one of the file's, {choices}", thickness)
+                    deposit = [feature for feature in deposit if feature.attributes["threshold_m"] == thickness]
+                polygons = [feature.polygon for feature in deposit or features]
             region = shapely.transform(shapely.union_all(polygons), lambda rows: rows - corner)
             if not box.buffer(1e-6 * max(scene.domain.size)).contains(region):
-                got = ", ".join(f"{each:.6g}" for each in region.bounds)
+                got = ", ".join(f"{bound:.6g}" for bound in region.bounds)
                 raise InputError(f"expected an outline within the box, got x and z from its corner from {got} m")
         operator = Boundary(scene, region, thickness)
         if thickness is None and operator.thickness > THICK * min(map(least_thickness, scene.masses)):

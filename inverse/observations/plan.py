@@ -70,12 +70,12 @@ def volume_over(grid: Grid, positions: Tensor, volumes: Tensor) -> Tensor:
     scaled = torch.minimum(scaled[within].clamp(min=0.0), last.double())
     first = torch.minimum(scaled.detach().long(), (last - 1).clamp(min=0))
     share, volume = scaled - first, volumes.double()[within]
-    found = torch.zeros(grid.count, dtype=torch.float64)
+    totals = torch.zeros(grid.count, dtype=torch.float64)
     for x, z in ((0, 0), (0, 1), (1, 0), (1, 1)):
         weight = (share[:, 0] if x else 1.0 - share[:, 0]) * (share[:, 1] if z else 1.0 - share[:, 1])
         column, row = (torch.minimum(first[:, n] + (x, z)[n], last[n]) for n in (0, 1))
-        found = found.index_add(0, column * grid.nodes[1] + row, weight * volume)
-    return found
+        totals = totals.index_add(0, column * grid.nodes[1] + row, weight * volume)
+    return totals
 
 
 def factors(scene: Scene, grid: Grid, direction: str) -> Floats:
@@ -142,8 +142,8 @@ class ThicknessSettings(ObservationSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        own = self.file is None or Path(self.file).suffix.lower() in ENDINGS or self.cell is None
-        require(own, "cell", "none beside a raster, which has its own", self.cell)
+        allowed = self.file is None or Path(self.file).suffix.lower() in ENDINGS or self.cell is None
+        require(allowed, "cell", "none beside a raster, which has its own", self.cell)
 
     def operator(self, scene: Scene) -> Thickness:
         grid = plan_grid(scene, max(self.cell or 0.0, scene.domain.cell))
@@ -231,10 +231,12 @@ def blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Grid,
         )
     width = math.ceil(scene.domain.cell / min(raster.spacing) - 1e-6)
     width = max(width, math.ceil(math.sqrt(len(kept[0]) * len(kept[1]) / MOST)))
-    counts = tuple(max(1, len(each) // width) for each in kept)
-    width_x, width_z = (min(width, len(each)) for each in kept)
-    rows = [each[: count * own] for each, count, own in zip(kept, counts, (width_x, width_z), strict=True)]
+    counts = tuple(max(1, len(indices) // width) for indices in kept)
+    width_x, width_z = (min(width, len(indices)) for indices in kept)
+    rows = [indices[: count * block] for indices, count, block in zip(kept, counts, (width_x, width_z), strict=True)]
     cut = raster.values[np.ix_(*rows)].reshape(counts[0], width_x, counts[1], width_z)
     spacing = (raster.spacing[0] * width_x, raster.spacing[1] * width_z)
-    origin = tuple(float(at[row[:own]].mean()) for at, row, own in zip(places, rows, (width_x, width_z), strict=True))
+    origin = tuple(
+        float(at[row[:block]].mean()) for at, row, block in zip(places, rows, (width_x, width_z), strict=True)
+    )
     return Grid(origin, spacing, counts), np.asarray(cut.mean(axis=(1, 3)).ravel())

@@ -73,7 +73,7 @@ class ObservationSettings(Record):
     @property
     def sources(self) -> list[str]:
         """Keys under which its numbers may stand."""
-        return [key for key in SOURCES if key in {each.name for each in fields(self)}]
+        return [key for key in SOURCES if key in {field.name for field in fields(self)}]
 
     @property
     def given(self) -> dict[str, Any]:

@@ -78,12 +78,12 @@ class Target:
 def without(target: Target, name: str) -> tuple[Target, NDArray[np.int64]]:
     """Several observations as one without one of them, or all for a name that none has, and which numbers are left."""
     parts, kept, index = [], 0, []
-    for each in target.observation.parts:
-        if each.name != name:
-            own = np.arange(len(target.values))[each.numbers]
-            parts.append(replace(each, numbers=slice(kept, kept + len(own))))
-            index.append(own)
-            kept += len(own)
+    for part in target.observation.parts:
+        if part.name != name:
+            numbers = np.arange(len(target.values))[part.numbers]
+            parts.append(replace(part, numbers=slice(kept, kept + len(numbers))))
+            index.append(numbers)
+            kept += len(numbers)
     left, whole = np.concatenate(index), target.observation
     scale = np.broadcast_to(whole.scale, len(target.values))[left]
     prior = scale * whole.prior_scatter(target.values)[left]
@@ -102,22 +102,22 @@ def joined(targets: Sequence[Target], names: Sequence[str]) -> Target:
     """Several observations, as reports call them, as one. Raises InputError for numbers without any deviation."""
     if len(targets) == 1:
         return targets[0]
-    ends = np.cumsum([0, *(len(each.values) for each in targets)]).tolist()
+    ends = np.cumsum([0, *(len(target.values) for target in targets)]).tolist()
     parts = [
-        JointPart(name=name, observation=each.observation, numbers=slice(first, end))
-        for name, each, first, end in zip(names, targets, ends[:-1], ends[1:], strict=True)
+        JointPart(name=name, observation=target.observation, numbers=slice(first, end))
+        for name, target, first, end in zip(names, targets, ends[:-1], ends[1:], strict=True)
     ]
-    prior = np.concatenate([each.observation.prior_scatter(each.values) for each in targets])
-    errors = Covariance.joined([each.errors for each in targets])
+    prior = np.concatenate([target.observation.prior_scatter(target.values) for target in targets])
+    errors = Covariance.joined([target.errors for target in targets])
     scale = np.hypot(errors.deviation, prior)
     for part in parts:
         if not np.all(scale[part.numbers] > 0.0):
             raise InputError(f"expected a noise above 0 for {part.name}, whose numbers are all 0", key="observations")
-    dofs = [np.full(len(each.values), math.inf) if each.dof is None else each.dof for each in targets]
+    dofs = [np.full(len(target.values), math.inf) if target.dof is None else target.dof for target in targets]
     return Target(
-        dof=np.concatenate(dofs) if any(each.dof is not None for each in targets) else None,
+        dof=np.concatenate(dofs) if any(target.dof is not None for target in targets) else None,
         observation=Joint(parts, scale, prior),
-        values=np.concatenate([each.values for each in targets]) / scale,
+        values=np.concatenate([target.values for target in targets]) / scale,
         errors=errors.over(scale),
-        roughness=max(each.roughness for each in targets),
+        roughness=max(target.roughness for target in targets),
     )

@@ -36,16 +36,16 @@ def kind(name: str) -> Kind:
     index = re.search(r"\[(\d{1,6})\]", name)
     form = name if index is None else name[: index.start() + 1] + name[index.end() - 1 :]
     if form not in KINDS or (index is None) == ("[]" in form):
-        known = ", ".join(each.replace("[]", "[0]") for each in KINDS)
-        raise InputError(f"expected one of {known}, got {name!r}")
+        choices = ", ".join(key.replace("[]", "[0]") for key in KINDS)
+        raise InputError(f"expected one of {choices}, got {name!r}")
     return KINDS[form] if index is None else replace(KINDS[form], index=int(index[1]))
 
 
 def known_names(scene: Scene) -> list[str]:
     """The parameters that `scene` has, of each kind the first."""
     names = []
-    for form, each in KINDS.items():
-        for index in range(len(getattr(scene, each.group)) if each.group else 1):
+    for form, candidate in KINDS.items():
+        for index in range(len(getattr(scene, candidate.group)) if candidate.group else 1):
             name = form.replace("[]", f"[{index}]")
             try:
                 kind(name).check(scene)
@@ -178,8 +178,8 @@ class Parameter(Record):
 
     def index_of(self, group: str) -> int | None:
         """The index of the member of a group that has it."""
-        found = re.match(rf"{group}\[(\d{{1,6}})\]\.", self.name)
-        return None if found is None else int(found[1])
+        match = re.match(rf"{group}\[(\d{{1,6}})\]\.", self.name)
+        return None if match is None else int(match[1])
 
 
 def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str) -> None:
@@ -187,16 +187,16 @@ def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str
 
     parameters: by their keys; key: of all together.
     """
-    names = [each.name for each in parameters.values()]
+    names = [parameter.name for parameter in parameters.values()]
     for place, parameter in parameters.items():
         with keyed(place):
             require(names.count(parameter.name) == 1, "name", "each number once", f"{parameter.name!r} twice")
             parameter.check(scene)
-    numbers = {place: each for place, each in parameters.items() if not each.is_field}
+    numbers = {place: parameter for place, parameter in parameters.items() if not parameter.is_field}
     if not numbers:
         return
     together = [*numbers.values()]
-    initial, bounds = [each.start for each in together], [each.bounds for each in together]
+    initial, bounds = [parameter.start for parameter in together], [parameter.bounds for parameter in together]
     check_scene(scene, together, initial, key)
     lower, upper = np.array(bounds).T
     corners = [*itertools.islice(itertools.product(*bounds), FILLING), upper.tolist()]
@@ -210,13 +210,15 @@ def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str
                 for name, bound in zip(("lower", "upper"), parameter.bounds, strict=True):
                     alone = [*initial[:row], bound, *initial[row + 1 :]]
                     check_scene(scene, together, alone, f"{place}.{name}")
-            where = ", ".join(f"{each.name} = {value:.4g}" for each, value in zip(together, values, strict=True))
+            where = ", ".join(
+                f"{parameter.name} = {value:.4g}" for parameter, value in zip(together, values, strict=True)
+            )
             raise InputError(f"{error.message} with {where}, all within their bounds", key=key) from None
 
 
 def check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence[float], key: str) -> None:
     """Raise InputError under `key` unless `scene` can be simulated with these values."""
     try:
-        with_kinds(scene, [each.kind for each in parameters], values)
+        with_kinds(scene, [parameter.kind for parameter in parameters], values)
     except InputError as error:
         raise InputError(f"expected a scene that can be simulated, but {error}", key=key) from None

@@ -191,8 +191,8 @@ class UnknownField:
         """Where the particles that have it take their values [m], shape [n, D], in plan [n, D - 1]."""
         if self.settings.quantity != THICKNESS:
             particles = initial_particles(scene)
-            own = self.of(particles.mass)
-            return particles.positions[own][:, ::2] if self.in_plan else particles.positions[own]
+            members = self.of(particles.mass)
+            return particles.positions[members][:, ::2] if self.in_plan else particles.positions[members]
         masses = [mass for index, mass in enumerate(scene.masses) if self.settings.mass in (None, index)]
         return np.concatenate([filling(scene, mass).lattice[:, ::2] for mass in masses])
 
@@ -202,52 +202,60 @@ class UnknownField:
 
     def put(self, scene: Scene, values: Floats) -> Scene:
         """The scene with `values` [K] of it. Raises InputError."""
-        own, grid = self.settings, self.grid
-        if own.solid is not None:
+        settings, grid = self.settings, self.grid
+        if settings.solid is not None:
             solids = list(scene.solids)
-            shape = np.array(solids[own.solid].heights).shape
+            shape = np.array(solids[settings.solid].heights).shape
             rows = np.round(self.weights(self.posts(scene)) @ values, DIGITS).reshape(shape)
             # One friction of all posts is one number to the solver, of which there is one derivative.
             rows[0, 0] += UNEVEN if np.ptp(rows) == 0.0 else 0.0
-            solids[own.solid] = dataclasses.replace(solids[own.solid], friction=tuple(map(tuple, rows.tolist())))
+            solids[settings.solid] = dataclasses.replace(
+                solids[settings.solid], friction=tuple(map(tuple, rows.tolist()))
+            )
             return dataclasses.replace(scene, solids=tuple(solids))
-        place = {"origin": grid.origin, "spacing": grid.spacing, "nodes": grid.nodes, "mass": own.mass}
-        field = Field(quantity=own.quantity, values=tuple(values.tolist()), **place)  # type: ignore[arg-type]
-        others = (each for each in scene.fields if (each.quantity, each.mass) != (own.quantity, own.mass))
+        place = {"origin": grid.origin, "spacing": grid.spacing, "nodes": grid.nodes, "mass": settings.mass}
+        field = Field(quantity=settings.quantity, values=tuple(values.tolist()), **place)  # type: ignore[arg-type]
+        others = (other for other in scene.fields if (other.quantity, other.mass) != (settings.quantity, settings.mass))
         return dataclasses.replace(scene, fields=(*others, field))
 
     def truth(self, scene: Scene) -> Floats | None:
         """What `scene` itself has of it at the nodes, of a zone the mean over its posts, [K]; None without any."""
-        own = self.settings
-        if own.solid is None:
-            same = [each for each in scene.fields if (each.quantity, each.mass) == (own.quantity, own.mass)]
+        settings = self.settings
+        if settings.solid is None:
+            same = [
+                field for field in scene.fields if (field.quantity, field.mass) == (settings.quantity, settings.mass)
+            ]
             return same[0].weights(self.grid.positions) @ np.array(same[0].values) if same else None
-        axes, _, friction = ground_grid(scene.solids[own.solid], f"solids[{own.solid}]", scene.domain)
+        axes, _, friction = ground_grid(scene.solids[settings.solid], f"solids[{settings.solid}]", scene.domain)
         if self.zones is None:
             return interpolated(axes, friction, self.grid.positions)
         weights = self.weights(posts := self.posts(scene))
         return np.asarray(weights.T @ interpolated(axes, friction, posts) / weights.sum(axis=0))
 
-    def at_nodes(self, gradient: "Gradient", values: Floats, explicit: Floats, known: dict[str, Floats]) -> Floats:
+    def at_nodes(
+        self, gradient: "Gradient", values: Floats, explicit: Floats, slopes_by_name: dict[str, Floats]
+    ) -> Floats:
         """dJ/df [K] at `values` [K] from the gradient with respect to what a run begins with.
 
-        explicit: derivatives of J with respect to the volumes of the particles where it sees them itself, [N]; known:
-        slopes of this run by the names of fields, which are the same for every J.
+        explicit: derivatives of J with respect to the volumes of the particles where it sees them itself, [N];
+        slopes_by_name: slopes of this run by the names of fields, which are the same for every J.
         """
-        scene, own, particles = gradient.scene, self.settings, gradient.particles
+        scene, settings, particles = gradient.scene, self.settings, gradient.particles
         if not self.in_plan:
-            friction = own.quantity == FRICTION
-            each = gradient.material(FRICTION) if friction else gradient.velocities[:, VELOCITIES.index(own.quantity)]
-            each = np.where(self.of(particles.mass), each, 0.0)
-            return np.asarray(self.grid.weights(particles.positions).T @ each)
-        relative, places = own.quantity == THICKNESS, self.places(scene)
-        if own.name not in known:
+            friction = settings.quantity == FRICTION
+            derivatives = (
+                gradient.material(FRICTION) if friction else gradient.velocities[:, VELOCITIES.index(settings.quantity)]
+            )
+            derivatives = np.where(self.of(particles.mass), derivatives, 0.0)
+            return np.asarray(self.grid.weights(particles.positions).T @ derivatives)
+        relative, places = settings.quantity == THICKNESS, self.places(scene)
+        if settings.name not in slopes_by_name:
 
             def scene_at(change: float) -> Scene:
                 return self.put(scene, values * (1.0 + change) if relative else values + change)
 
-            known[own.name] = gradient.slopes(scene_at, 0.0)
-        shares, posts = gradient.shared(known[own.name])
+            slopes_by_name[settings.name] = gradient.slopes(scene_at, 0.0)
+        shares, posts = gradient.shared(slopes_by_name[settings.name])
         if relative:
             # Volumes and heights above the ground are in proportion to the thickness.
             weights, here = self.weights(places), self.of(particles.mass)
@@ -316,10 +324,10 @@ def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple
         dimension -= 1
     else:
         plain = name in (quantity, f"masses[{settings.mass}].{quantity}")
-        known = (
+        expected = (
             f"one of {', '.join(kinds)}, of all masses or as masses[0].{kinds[0]}, or solids[0].friction, for a field"
         )
-        require(plain and quantity in kinds, "name", known, repr(name))
+        require(plain and quantity in kinds, "name", expected, repr(name))
         require(settings.mass is None or settings.mass in masses, "name", f"a mass of 0 to {masses[-1]}", settings.mass)
         require(settings.zones is None, "zones", "none but of the friction of a terrain", settings.zones)
     if quantity == THICKNESS:

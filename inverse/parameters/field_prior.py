@@ -46,7 +46,7 @@ class FieldPrior:
         masses = [lumped_mass(count, step) for count, step in zip(shape, grid.spacing, strict=True)]
         operator = mass = reduce(sparse.kron, masses)
         for axis, (count, step) in enumerate(zip(shape, grid.spacing, strict=True)):
-            factors = [stiffness(count, step) if other == axis else each for other, each in enumerate(masses)]
+            factors = [stiffness(count, step) if other == axis else lumped for other, lumped in enumerate(masses)]
             operator = operator + scales[axis] ** 2 * reduce(sparse.kron, factors)
         self.root_mass: Floats = np.sqrt(mass.diagonal())
         self.operator = sparse.csc_array(operator)
@@ -63,28 +63,28 @@ class FieldPrior:
     @cached_property
     def scale(self) -> Floats:
         """Of S: the stated deviation over that of A w at each node, shape [K]."""
-        found = np.empty(self.grid.count)
-        for first in range(0, len(found), COLUMNS):
+        factors = np.empty(self.grid.count)
+        for first in range(0, len(factors), COLUMNS):
             nodes = self.inner[first : first + COLUMNS]
             units = np.zeros((self.size, len(nodes)))
             units[nodes, np.arange(len(nodes))] = 1.0
             rows = self.root_mass[:, None] * self.factor.solve(units)
-            found[first : first + COLUMNS] = self.deviation / np.sqrt((rows**2).sum(axis=0))
-        return found
+            factors[first : first + COLUMNS] = self.deviation / np.sqrt((rows**2).sum(axis=0))
+        return factors
 
     def field(self, white: Floats) -> Floats:
         """u [K, ...] of w [W, ...]."""
         flat = white.reshape(self.size, -1)
-        found = self.factor.solve(self.root_mass[:, None] * flat)[self.inner] * self.scale[:, None]
-        return np.asarray(found.reshape(-1, *white.shape[1:]))
+        values = self.factor.solve(self.root_mass[:, None] * flat)[self.inner] * self.scale[:, None]
+        return np.asarray(values.reshape(-1, *white.shape[1:]))
 
     def white(self, adjoint: Floats) -> Floats:
         """The transpose of `field`: derivatives with respect to w [W, ...] of those with respect to u [K, ...]."""
         flat = adjoint.reshape(self.grid.count, -1)
         full = np.zeros((self.size, flat.shape[1]))
         full[self.inner] = flat * self.scale[:, None]
-        found = self.root_mass[:, None] * self.factor.solve(full)
-        return np.asarray(found.reshape(-1, *adjoint.shape[1:]))
+        derivatives = self.root_mass[:, None] * self.factor.solve(full)
+        return np.asarray(derivatives.reshape(-1, *adjoint.shape[1:]))
 
 
 def lumped_mass(count: int, step: float) -> Any:

@@ -120,10 +120,10 @@ class Kind:
             return "terrain covers the floor"
         if self.form == "solids[].friction" and self.holder(scene).contact != "coulomb":
             return f"solids[{self.index}] lets nothing slide"
-        varies = [each.mass for each in scene.fields if each.quantity == self.form.split(".")[-1]]
+        varies = [field.mass for field in scene.fields if field.quantity == self.form.split(".")[-1]]
         shared = [number for number, mass in enumerate(scene.masses) if mass.material is None]
-        own = shared if self.index is None else [self.index]
-        if varies and (None in varies or set(own) <= {*varies}):
+        masses = shared if self.index is None else [self.index]
+        if varies and (None in varies or set(masses) <= {*varies}):
             return "a field of the scene takes its place"
         return ""
 
@@ -132,17 +132,17 @@ class Kind:
         return scene if self.index is None else getattr(scene, self.group)[self.index]
 
     def value(self, holder: Any) -> float:
-        found = getattr(holder, self.key)
-        return float(found if self.axis is None else found[self.axis])
+        current = getattr(holder, self.key)
+        return float(current if self.axis is None else current[self.axis])
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
         """What of the scene, mass, baffle or solid that has it changes with this value."""
         return {self.key: self.vector(getattr(self.holder(draft), self.key), value)}
 
-    def vector(self, known: Any, value: float) -> Any:
-        """The value, or the vector `known` with it as its component."""
+    def vector(self, components: Any, value: float) -> Any:
+        """The value, or the vector `components` with it as its component."""
         axis = self.axis
-        return value if axis is None else (*known[:axis], value, *known[axis + 1 :])
+        return value if axis is None else (*components[:axis], value, *components[axis + 1 :])
 
     def read(self, scene: Scene) -> float:
         return self.value(self.holder(scene))
@@ -180,8 +180,8 @@ class PartNumber(Kind):
         return getattr(scene, self.form.split(".")[0])
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
-        own: dict[str, Any] = {self.key: value}
-        return {self.form.split(".")[0]: replace(self.holder(draft), **own)}
+        change: dict[str, Any] = {self.key: value}
+        return {self.form.split(".")[0]: replace(self.holder(draft), **change)}
 
 
 class Clock(Kind):
@@ -205,16 +205,16 @@ class Constant(Kind):
             raise InputError(f"expected a material with a {self.requires}, {WITHOUT[self.requires]}")
 
     def material(self, scene: Scene | Draft) -> Material:
-        own = None if self.index is None else scene.masses[self.index].material
-        found: Material = own or scene.material
-        return found
+        override = None if self.index is None else scene.masses[self.index].material
+        effective: Material = override or scene.material
+        return effective
 
     def read(self, scene: Scene) -> float:
         return self.value(self.material(scene))
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
-        own: dict[str, Any] = {self.key: value}
-        return {"material": replace(self.material(draft), **own)}
+        change: dict[str, Any] = {self.key: value}
+        return {"material": replace(self.material(draft), **change)}
 
 
 class Cohesion(Constant):
@@ -225,8 +225,8 @@ class Cohesion(Constant):
         # Where there is no cohesion there is no ratio: cutoff and residual values stay as well.
         ratio = value / material.cohesion if material.cohesion > 0.0 else 1.0
         keys = ("tension_cutoff", "residual_cohesion", "residual_tension_cutoff")
-        known = {key: getattr(material, key) for key in keys}
-        scaled = {key: ratio * each for key, each in known.items() if each is not None}
+        strengths = {key: getattr(material, key) for key in keys}
+        scaled = {key: ratio * strength for key, strength in strengths.items() if strength is not None}
         return {"material": replace(material, cohesion=value, **scaled)}
 
 
@@ -235,8 +235,8 @@ class Residual(Constant):
 
     def value(self, holder: Any) -> float:
         # Unless they are named, residual values are those of the peak.
-        known = getattr(holder, self.key)
-        return float(getattr(holder, self.key.removeprefix("residual_")) if known is None else known)
+        residual = getattr(holder, self.key)
+        return float(getattr(holder, self.key.removeprefix("residual_")) if residual is None else residual)
 
 
 class Extent(Kind):
@@ -266,8 +266,8 @@ class Centre(Extent):
 
 def with_friction(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
     """Angle of friction [deg], an input as tan(phi) (`datasets.scene.material`: which angle)."""
-    known, tangent = initial.conditions.friction, tangent_of(kind.material(initial.scene), value)
-    friction = torch.where(initial.of_mass(kind.index), tangent.to(known.dtype), known)
+    current, tangent = initial.conditions.friction, tangent_of(kind.material(initial.scene), value)
+    friction = torch.where(initial.of_mass(kind.index), tangent.to(current.dtype), current)
     return initial.with_conditions(friction=friction)
 
 
@@ -282,18 +282,18 @@ def tangent_of(material: Material, angle_deg: Tensor) -> Tensor:
 
 def with_cohesion(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
     """Cohesion at the top [Pa]; its growth with depth stays."""
-    known, material = initial.conditions.cohesion, kind.material(initial.scene)
-    changed = known + (value - material.cohesion).to(known.dtype)
-    return initial.with_conditions(cohesion=torch.where(initial.of_mass(kind.index), changed, known))
+    current, material = initial.conditions.cohesion, kind.material(initial.scene)
+    changed = current + (value - material.cohesion).to(current.dtype)
+    return initial.with_conditions(cohesion=torch.where(initial.of_mass(kind.index), changed, current))
 
 
 def with_velocity(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
     """Initial velocity of a mass [m/s]: its particles' history is as if they had always moved with it."""
     state = initial.state
     along = torch.arange(state.positions.shape[1]) == kind.axis
-    own = initial.of_mass(kind.index).unsqueeze(1) & along
+    mask = initial.of_mass(kind.index).unsqueeze(1) & along
     displacement = (value * initial.step).to(state.displacements.dtype)
-    thrown = replace(state, displacements=torch.where(own, displacement, state.displacements))
+    thrown = replace(state, displacements=torch.where(mask, displacement, state.displacements))
     return replace(initial, state=thrown)
 
 
@@ -302,24 +302,24 @@ def with_baffle(kind: Extent, initial: InitialState, value: Tensor) -> InitialSt
     boxes, index = initial.conditions.baffles, kind.index or 0
     assert boxes is not None, "the scene has baffles, and so has the model"
     number, corner, axis = torch.meshgrid(*map(torch.arange, boxes.shape[1:]), indexing="ij")
-    own = torch.eq(number, index) & torch.eq(axis, kind.axis or 0)
+    mask = torch.eq(number, index) & torch.eq(axis, kind.axis or 0)
     lower, upper = boxes[0, index, :, kind.axis]
     low, size = kind.moved(lower, upper - lower, value.to(boxes.dtype))
-    return initial.with_conditions(baffles=torch.where(own, low + corner * size, boxes))
+    return initial.with_conditions(baffles=torch.where(mask, low + corner * size, boxes))
 
 
 def with_baffle_friction(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
     """Friction of the baffles that have none of their own [-]."""
-    known = initial.conditions.baffle_friction
-    assert known is not None, "the scene has baffles, and so has the model"
+    current = initial.conditions.baffle_friction
+    assert current is not None, "the scene has baffles, and so has the model"
     shared = torch.tensor([baffle.friction is None for baffle in initial.scene.baffles])
-    return initial.with_conditions(baffle_friction=torch.where(shared, value.to(known.dtype), known))
+    return initial.with_conditions(baffle_friction=torch.where(shared, value.to(current.dtype), current))
 
 
 def with_constant(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
     """Friction of the walls, damping [-]."""
-    known = getattr(initial.conditions, kind.key)
-    return initial.with_conditions(**{kind.key: value.to(known.dtype).expand_as(known)})
+    current = getattr(initial.conditions, kind.key)
+    return initial.with_conditions(**{kind.key: value.to(current.dtype).expand_as(current)})
 
 
 def with_floor_friction(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
@@ -333,9 +333,9 @@ def with_ground_friction(kind: Kind, initial: InitialState, value: Tensor) -> In
     if ground is None:
         return initial
     index = -1 if kind.index is None else kind.index
-    own = torch.from_numpy(ground_raster(initial.scene, ground.spacing)[2] == index)
-    found = torch.where(own, value.to(ground.friction.dtype), ground.friction)
-    return initial.with_conditions(ground=replace(ground, friction=found))
+    mask = torch.from_numpy(ground_raster(initial.scene, ground.spacing)[2] == index)
+    friction = torch.where(mask, value.to(ground.friction.dtype), ground.friction)
+    return initial.with_conditions(ground=replace(ground, friction=friction))
 
 
 _MATERIAL = (

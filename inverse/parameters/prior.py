@@ -140,35 +140,44 @@ class JointPrior:
     def __init__(self, numbers: Mapping[str, Marginal], correlations: Sequence[Correlation] = ()) -> None:
         """numbers: by name. Raises InputError, which names the key, for correlations that are none."""
         self.marginals = [*numbers.values()]
-        self.lower = np.array([each.lower for each in self.marginals])
-        self.range = np.array([each.upper - each.lower for each in self.marginals])
+        self.lower = np.array([marginal.lower for marginal in self.marginals])
+        self.range = np.array([marginal.upper - marginal.lower for marginal in self.marginals])
         names, self.correlation = [*numbers], np.eye(len(numbers))
-        for index, each in enumerate(correlations):
-            key, (first, second) = f"correlations[{index}]", each.between
-            for name in each.between:
+        for index, correlation in enumerate(correlations):
+            key, (first, second) = f"correlations[{index}]", correlation.between
+            for name in correlation.between:
                 require(name in names, f"{key}.between", f"two of the numbers {', '.join(names)}", repr(name))
             require(first != second, f"{key}.between", "two different numbers", f"{first!r} twice")
             row, column = names.index(first), names.index(second)
             require(self.correlation[row, column] == 0.0, f"{key}.between", "each pair once", f"{first}, {second}")
-            self.correlation[row, column] = self.correlation[column, row] = each.coefficient
+            self.correlation[row, column] = self.correlation[column, row] = correlation.coefficient
         smallest = float(np.linalg.eigvalsh(self.correlation).min())
         require(smallest > 1e-9, "correlations", "coefficients that go together (a positive definite matrix)", "others")
 
     def __call__(self, points: Matrix) -> Matrix:
         """Logarithm of its density over the uniform one at points [S, U], shape [S]."""
         values = self.lower + self.range * points
-        found = sum(each.log_density(own) for each, own in zip(self.marginals, values.T, strict=True))
+        log_density = sum(
+            marginal.log_density(column) for marginal, column in zip(self.marginals, values.T, strict=True)
+        )
         if not np.array_equal(self.correlation, np.eye(len(self.range))):
-            shares = np.stack([each.share(own) for each, own in zip(self.marginals, values.T, strict=True)], axis=1)
+            shares = np.stack(
+                [marginal.share(column) for marginal, column in zip(self.marginals, values.T, strict=True)], axis=1
+            )
             scores = ndtri(np.clip(shares, LEAST_SHARE, 1.0 - LEAST_SHARE))
             more = np.linalg.inv(self.correlation) - np.eye(len(self.range))
-            found = found - 0.5 * (np.linalg.slogdet(self.correlation)[1] + ((scores @ more) * scores).sum(axis=1))
-        return np.maximum(found, LOWEST)
+            log_density = log_density - 0.5 * (
+                np.linalg.slogdet(self.correlation)[1] + ((scores @ more) * scores).sum(axis=1)
+            )
+        return np.maximum(log_density, LOWEST)
 
     def at(self, shares: Matrix) -> Matrix:
         """Points of it for independent uniform numbers, both [..., U]."""
         scores = ndtri(np.clip(shares, LEAST_SHARE, 1.0 - LEAST_SHARE)) @ np.linalg.cholesky(self.correlation).T
-        values = [each.at(ndtr(own)) for each, own in zip(self.marginals, np.moveaxis(scores, -1, 0), strict=True)]
+        values = [
+            marginal.at(ndtr(column))
+            for marginal, column in zip(self.marginals, np.moveaxis(scores, -1, 0), strict=True)
+        ]
         return np.asarray((np.stack(values, axis=-1) - self.lower) / self.range)
 
     @cached_property
@@ -183,8 +192,8 @@ class JointPrior:
 
     def slope(self, points: Matrix) -> Matrix:
         """Derivatives of its logarithm at points [S, U], by differences that stay between the bounds, shape [S, U]."""
-        found = np.zeros_like(points)
+        slopes = np.zeros_like(points)
         for index, step in enumerate(1e-5 * np.eye(points.shape[1])):
             ends = np.clip(points - step, 0.0, 1.0), np.clip(points + step, 0.0, 1.0)
-            found[:, index] = (self(ends[1]) - self(ends[0])) / (ends[1] - ends[0])[:, index]
-        return found
+            slopes[:, index] = (self(ends[1]) - self(ends[0])) / (ends[1] - ends[0])[:, index]
+        return slopes

@@ -64,12 +64,12 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
     graph = coo_array((np.ones(int(joined.sum())), (first[joined], second[joined])), shape=(len(points), len(points)))
     number, label = connected_components(graph, directed=False)
     every = cKDTree(points / scale).query(samples.points / scale)[1]
-    shares = np.array([samples.weights[label[every] == each].sum() for each in range(number)])
+    shares = np.array([samples.weights[label[every] == component].sum() for component in range(number)])
     heaviest, *others = np.argsort(-shares)
-    kept = [heaviest, *(each for each in others if shares[each] >= CONSTANTS.smallest_weight)]
+    kept = [heaviest, *(component for component in others if shares[component] >= CONSTANTS.smallest_weight)]
     regions = []
-    for each in kept:
-        belonging = label[every] == each
+    for component in kept:
+        belonging = label[every] == component
         inside, weights = samples.points[belonging], samples.weights[belonging] / shares[kept].sum()
         share = weights / weights.sum()
         low, centre, high = quantiles(inside, share)

@@ -182,8 +182,8 @@ class Emulator:
         unexplained = prior[:, None] + leverage[:, None] * NUGGETS[counted] - contrasts**2 @ precision.T
         spread = np.maximum(unexplained, 0.0) @ (weights * variance)[counted]
         # The nuggets disagree about the mean as well.
-        for index, each in zip(counted, precision, strict=True):
-            spread += weights[index] * (contrasts @ (each[:, None] * roots - self._weights)) ** 2
+        for index, row in zip(counted, precision, strict=True):
+            spread += weights[index] * (contrasts @ (row[:, None] * roots - self._weights)) ** 2
         return np.asarray(functions @ fitted_trend + contrasts @ self._weights), np.asarray(spread)
 
     def covariance(self, points: Matrix, component: int) -> tuple[Matrix, float]:
@@ -204,11 +204,11 @@ class Emulator:
         weights, variance, _ = self._quadrature
         _, contrasts, values, roots = self._decomposed
         errors, variances = np.zeros_like(self.numbers), np.zeros_like(self.numbers)
-        for nugget, share, each in zip(NUGGETS, weights, variance, strict=True):
+        for nugget, share, scale in zip(NUGGETS, weights, variance, strict=True):
             precision = 1.0 / (values + nugget)
-            own = np.maximum(contrasts**2 @ precision, 1e-300)[:, None]
-            errors += share * (contrasts @ (precision[:, None] * roots)) / own
-            variances += share * each / own
+            diagonal = np.maximum(contrasts**2 @ precision, 1e-300)[:, None]
+            errors += share * (contrasts @ (precision[:, None] * roots)) / diagonal
+            variances += share * scale / diagonal
         return errors, variances
 
     @property
@@ -262,7 +262,7 @@ def likeliest(log_likelihood: Callable[[NDArray[np.int64]], float], start: NDArr
     descent ends; they differ from processor to processor, and with them would every sample and run that follow.
     """
     best, value = start.copy(), log_likelihood(start)
-    smallest, largest = (round(math.log(each) / LENGTH_STEPS[-1]) for each in (SHORTEST, LONGEST))
+    smallest, largest = (round(math.log(length) / LENGTH_STEPS[-1]) for length in (SHORTEST, LONGEST))
     for step in LENGTH_STEPS:
         width, improved = round(step / LENGTH_STEPS[-1]), True
         while improved:
@@ -285,7 +285,7 @@ def most_informative(
     for active data selection, Neural Comput. 4 (1992) 590-604). scales: of the squares of each component [r];
     relevance: weights of the candidates [S] in the mean of the variance.
     """
-    parts = [emulator.covariance(candidates, each) for each in range(len(scales))]
+    parts = [emulator.covariance(candidates, component) for component in range(len(scales))]
     weights = np.broadcast_to(relevance, len(candidates))
     chosen: list[int] = []
     for _ in range(min(count, len(candidates))):

@@ -35,9 +35,11 @@ def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> 
     edges = [np.linspace(0.0, extent, STATIONS + 1)]
     edges += [np.linspace(0.0, width, ACROSS + 1) for width in scene.domain.size[2:]]
     plan = deposit[:, [0, 2][: len(edges)]]
-    heights = np.histogramdd(plan, bins=edges, weights=volumes)[0] / np.prod([each[1] - each[0] for each in edges])
+    heights = np.histogramdd(plan, bins=edges, weights=volumes)[0] / np.prod(
+        [borders[1] - borders[0] for borders in edges]
+    )
     for index in np.ndindex(heights.shape):
-        middles = (0.5 * (each[number] + each[number + 1]) for each, number in zip(edges, index, strict=True))
+        middles = (0.5 * (borders[number] + borders[number + 1]) for borders, number in zip(edges, index, strict=True))
         location = ", ".join(f"{axis} = {middle:.3g} m" for axis, middle in zip("xz", middles, strict=False))
         measured[f"the height around {location}"] = float(heights[index])
     return measured
@@ -57,4 +59,4 @@ def information(
         varied = spread**2 * float(made.mean(where).var())
         noise = spread**2 * float(made.scatter[0, 0]) + (READING * cell) ** 2
         gains[name] = 0.5 * float(np.log1p(varied / noise))
-    return dict(sorted(gains.items(), key=lambda each: -each[1]))
+    return dict(sorted(gains.items(), key=lambda item: -item[1]))

@@ -168,9 +168,9 @@ class Likelihood:
     def in_regime(self, points: Matrix) -> Row:
         """Logarithm of the probability that points [S, U] are in the target's regime, and not excluded, shape [S]."""
         logarithm = np.zeros(len(points))
-        for each in (self.regime, self.within):
-            if each is not None:
-                logarithm += each(points)
+        for term in (self.regime, self.within):
+            if term is not None:
+                logarithm += term(points)
         return logarithm
 
     def residual(self, points: Matrix) -> tuple[Matrix, Matrix, Matrix]:
@@ -330,7 +330,7 @@ def emulated(
         for trend in trends
         if len(points) > trend(points[:1]).shape[1] + 1
     ]
-    return reduced, min(made, key=lambda each: float(np.mean(each.left_out[0] ** 2))), expected, repeats
+    return reduced, min(made, key=lambda emulator: float(np.mean(emulator.left_out[0] ** 2))), expected, repeats
 
 
 def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple[Row, int]:

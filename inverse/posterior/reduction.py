@@ -80,8 +80,8 @@ def cross_fitted(weighted: Matrix, points: Matrix, first: Matrix) -> Matrix:
     crossed = components.copy()
     functions = np.concatenate([np.ones((len(points), 1)), points], axis=1)
     _, label = np.unique(points, axis=0, return_inverse=True)
-    for each in range(int(label.max()) + 1):
-        here, others = np.flatnonzero(label == each), np.flatnonzero(label != each)
+    for group in range(int(label.max()) + 1):
+        here, others = np.flatnonzero(label == group), np.flatnonzero(label != group)
         if np.linalg.matrix_rank(functions[others]) < functions.shape[1]:
             continue
         # The slopes are this times the other runs' numbers.

@@ -56,20 +56,20 @@ class Samples:
 def sample(log_likelihood: LogLikelihood, rng: np.random.Generator, *, low: Row, high: Row) -> Samples:
     """Samples of the posterior with a uniform prior between `low` and `high`, both of shape [U]."""
     populations = [population(log_likelihood, rng, low, high) for _ in range(CONSTANTS.populations)]
-    points = np.concatenate([each[0] for each in populations])
-    evidences = np.array([each[2] for each in populations])
+    points = np.concatenate([batch[0] for batch in populations])
+    evidences = np.array([batch[2] for batch in populations])
     # Each population counts by its own estimate of the evidence.
     shares = np.exp(evidences - evidences.max())
-    weights = np.repeat(shares / shares.sum(), [len(each[0]) for each in populations]) / CONSTANTS.samples
+    weights = np.repeat(shares / shares.sum(), [len(batch[0]) for batch in populations]) / CONSTANTS.samples
     spread = np.maximum(points.std(axis=0), 1e-12)
-    means = np.stack([each[0].mean(axis=0) for each in populations])
+    means = np.stack([batch[0].mean(axis=0) for batch in populations])
     return Samples(
         points=points,
         weights=weights / weights.sum(),
-        log_likelihood=np.concatenate([each[1] for each in populations]),
+        log_likelihood=np.concatenate([batch[1] for batch in populations]),
         evidence=float(np.log(shares.mean()) + evidences.max()),
         difference=float(np.max(np.ptp(means, axis=0) / spread)),
-        acceptance=min(each[3] for each in populations),
+        acceptance=min(batch[3] for batch in populations),
     )
 
 

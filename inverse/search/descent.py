@@ -72,7 +72,7 @@ def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values
     cube = filling(unknowns, FIRST + PER_UNKNOWN * unknowns - 1, rng)
     points = np.concatenate([box.shares(problem.initial)[None], cube])
     runs = predict(points, 0)
-    squares = [((each.numbers - forward.select(target.values)) ** 2).mean() for each in runs]
+    squares = [((run.numbers - forward.select(target.values)) ** 2).mean() for run in runs]
     seen = as_predicted(forward, target, scatter, forward.errors(box.at(points[int(np.argmin(squares))])))
     state = Inversion(
         model=predict,
@@ -95,8 +95,8 @@ def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values
 
 def with_minima(state: Inversion) -> Inversion:
     """With the minima that its answers lead to; a region as much wider as the lowest is off (Birge's ratio)."""
-    starts = [each.point for each in state.answers[:STARTS]]
-    starts = [each for each in starts if not (state.minima[state.settled] == each).all(axis=1).any()]
+    starts = [answer.point for answer in state.answers[:STARTS]]
+    starts = [start for start in starts if not (state.minima[state.settled] == start).all(axis=1).any()]
     if starts:
         state = descended(state, np.stack(starts))
     free = len(state.target.values) - state.minima.shape[1]
@@ -151,11 +151,11 @@ def descended(state: Inversion, starts: Matrix) -> Inversion:
     radius, moving, trial = np.full(count, RADIUS), np.arange(count), starts
     for _ in range(STEPS):
         state, numbers, gradients = differentiated(state, trial)
-        found = state.losses(trial, numbers)
-        better = found < lowest[moving]
+        losses = state.losses(trial, numbers)
+        better = losses < lowest[moving]
         length = np.abs(trial - best[moving]).max(axis=1)
         radius[moving] = np.where(better, 2.0 * radius[moving], 0.25 * length)
-        best[moving[better]], lowest[moving[better]] = trial[better], found[better]
+        best[moving[better]], lowest[moving[better]] = trial[better], losses[better]
         slopes[moving[better]] = gradients[better]
         steps, gains = stepped(state, best[moving], slopes[moving], radius[moving])
         going = gains > NEGLIGIBLE
@@ -189,7 +189,7 @@ def sloped(state: Inversion, points: Matrix, numbers: Matrix) -> Matrix:
     """d(r^T C^-1 r)/dv at points [k, U] where the model predicts `numbers` [k, m], by the emulator's slopes, [k, U]."""
     rises, outward = emulated_slopes(state, points)
     weights = 2.0 * (numbers - state.target.values) @ state.precision @ outward.T
-    return np.stack([rise @ each for rise, each in zip(rises, weights, strict=True)])
+    return np.stack([rise @ weight for rise, weight in zip(rises, weights, strict=True)])
 
 
 def emulated_slopes(state: Inversion, points: Matrix) -> tuple[list[Matrix], Matrix]:
@@ -198,15 +198,15 @@ def emulated_slopes(state: Inversion, points: Matrix) -> tuple[list[Matrix], Mat
     reduced = reduction(state.numbers, made, state.target, scatter=state.knowledge.scatter)
     emulator = fitted(made, reduced.components, np.maximum(state.rough * reduced.expected_scatter, 1e-12))
     width = 1e-4 * np.eye(points.shape[1])
-    rises = [(emulator.mean(each + width) - emulator.mean(each - width)) / 2e-4 for each in points]
+    rises = [(emulator.mean(point + width) - emulator.mean(point - width)) / 2e-4 for point in points]
     return rises, reduced.basis.T / reduced.weights
 
 
 def around_minima(state: Inversion) -> Region:
     """Three standard deviations about each minimum of L that its region holds, by L as it curves there."""
-    found, factor = state.losses(state.minima), state.knowledge.factor
+    losses, factor = state.losses(state.minima), state.knowledge.factor
     fall = chi2.isf(EXCLUDED, state.minima.shape[1]) * factor**2
-    minima = state.minima[found <= found.min() + fall]
+    minima = state.minima[losses <= losses.min() + fall]
     prior = 12.0 * np.eye(minima.shape[1])
     inverse = np.linalg.inv(metrics(state, minima) / factor**2 + prior)
     wide = 3.0 * np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))

@@ -74,7 +74,7 @@ class Inference:
         many = points.shape[1] > CONSTANTS.few_parameters
         target, region = self.target, self.region or self.left(points, known=len(search.known) > 0)
         for _ in range(UPDATES):
-            found = posterior(
+            latest = posterior(
                 points,
                 search.numbers,
                 target,
@@ -91,11 +91,11 @@ class Inference:
             if target.dof is None:
                 break
             # Robust noise: what the posterior so far shows of each error, until it shows the same again.
-            square = (found.expected(found.samples.points) - target.values) ** 2
-            before, target = target.deviation, target.reweighted(found.samples.weights @ square)
+            square = (latest.expected(latest.samples.points) - target.values) ** 2
+            before, target = target.deviation, target.reweighted(latest.samples.weights @ square)
             if np.all(np.abs(target.deviation - before) <= REWEIGHTED * before):
                 break
-        return replace(self, latest=found, region=None, target=target)
+        return replace(self, latest=latest, region=None, target=target)
 
     def left(self, points: Matrix, *, known: bool) -> Region | None:
         """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there.
@@ -154,8 +154,8 @@ class Inversion(WaveSearch[ModelRun, Inference]):
             low, high = part.points.min(axis=0), part.points.max(axis=0)
             # No sample lies at a bound.
             slack = 0.05 * (high - low)
-            own = self.minima[np.all((self.minima >= low - slack) & (self.minima <= high + slack), axis=1)]
-            point = own[int(np.argmin(self.losses(own)))] if len(own) else part.point
+            minima = self.minima[np.all((self.minima >= low - slack) & (self.minima <= high + slack), axis=1)]
+            point = minima[int(np.argmin(self.losses(minima)))] if len(minima) else part.point
             answers.append(replace(part, point=point))
         return answers
 
@@ -168,7 +168,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         """r^T C^-1 r where the model predicts `numbers` [k, m], unless given at `points` [k, U] of its own, [k]."""
         if numbers is None:
             made = self.points
-            numbers = self.numbers[[int(np.argmin(np.abs(made - each).sum(axis=1))) for each in points]]
+            numbers = self.numbers[[int(np.argmin(np.abs(made - point).sum(axis=1))) for point in points]]
         residual = numbers - self.target.values
         return np.asarray(((residual @ self.precision) * residual).sum(axis=1))
 
@@ -188,9 +188,9 @@ class Inversion(WaveSearch[ModelRun, Inference]):
 
     def beyond(self, points: Matrix) -> Values:
         """By how much the logarithm of the likelihood at points [S, U] falls below that at the region's edge, [S]."""
-        found, log_prior = self.posterior, self.posterior.likelihood.log_prior
-        top = (found.samples.log_likelihood - log_prior(found.samples.points)).max()
-        return np.asarray(top - self.fall - (found.likelihood(points) - log_prior(points)))
+        belief, log_prior = self.posterior, self.posterior.likelihood.log_prior
+        top = (belief.samples.log_likelihood - log_prior(belief.samples.points)).max()
+        return np.asarray(top - self.fall - (belief.likelihood(points) - log_prior(points)))
 
     def within(self, points: Matrix) -> Values:
         """Logarithm of the probability that the region holds points [S, U]: 0 inside, steep beyond, shape [S]."""
@@ -201,8 +201,8 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         emulator, count = self.posterior.emulator, points.shape[1]
         # In units of their standard deviation over the predictions.
         spread = emulator.numbers[:, :count].std(axis=0)
-        found = emulator.mean(points)[:, :count] / np.maximum(spread, 1e-300)
-        return np.concatenate([np.ones((len(points), 1)), found], axis=1)
+        components = emulator.mean(points)[:, :count] / np.maximum(spread, 1e-300)
+        return np.concatenate([np.ones((len(points), 1)), components], axis=1)
 
     def around(self, count: int, rng: np.random.Generator) -> Matrix:
         """Points of its 95 % region far from answers and each other, of many parameters evenly in it, [count, U]."""
@@ -211,7 +211,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
             return Region.around(samples).filled(count, rng)
         threshold = np.quantile(samples.log_likelihood, 1.0 - CONSTANTS.credible)
         inside = samples.points[samples.log_likelihood >= threshold]
-        chosen = [each.point for each in self.answers]
+        chosen = [answer.point for answer in self.answers]
         scale = np.maximum(inside.std(axis=0), 1e-9)
         for _ in range(count):
             apart = cKDTree(np.stack(chosen) / scale).query(inside / scale)[0]
@@ -223,12 +223,12 @@ class Inversion(WaveSearch[ModelRun, Inference]):
 
         Off by more than the band allows: the squared difference, in units of C, that has a mean of 1 for each number.
         """
-        found, factor = self.posterior, self.knowledge.factor
+        belief, factor = self.posterior, self.knowledge.factor
         places, label = np.unique(points, axis=0, return_inverse=True)
-        selected = np.stack([self.forward.select(each) for each in shown])
-        means = found.reduction(np.stack([selected[label == each].mean(axis=0) for each in range(len(places))]))
-        residual = means - found.emulator.mean(places)
-        square = np.einsum("sr,rs->s", residual, np.linalg.solve(found.likelihood.fixed / factor**2, residual.T))
+        selected = np.stack([self.forward.select(row) for row in shown])
+        means = belief.reduction(np.stack([selected[label == group].mean(axis=0) for group in range(len(places))]))
+        residual = means - belief.emulator.mean(places)
+        square = np.einsum("sr,rs->s", residual, np.linalg.solve(belief.likelihood.fixed / factor**2, residual.T))
         contradiction = float(np.sqrt(square.max() / chi2.isf(0.05, residual.shape[1])))
         return self if contradiction <= factor else self.refined(factor=contradiction)
 
@@ -238,27 +238,27 @@ def left_out(search: WaveSearch[Any, Any]) -> dict[str, dict[str, float]]:
 
     By an emulator of all runs over the whole box: the posterior without an observation may lie anywhere in it.
     """
-    known: Inference = search.knowledge
-    names, found = [each.name for each in known.target.observation.parts], {}
+    knowledge: Inference = search.knowledge
+    names, widths = [part.name for part in knowledge.target.observation.parts], {}
     if len(names) < 2:
         return {}
     for name in (ALL_DATA, *names):
-        target, index = without(known.target, name)
-        cells = None if known.discretisation is None else known.discretisation[index]
+        target, index = without(knowledge.target, name)
+        cells = None if knowledge.discretisation is None else knowledge.discretisation[index]
         samples = posterior(
             search.points,
             search.numbers[:, index],
             target,
-            scatter=known.scatter[index],
+            scatter=knowledge.scatter[index],
             rng=search.generator(),
-            factor=known.factor,
+            factor=knowledge.factor,
             discretisation=cells,
-            extrapolated=known.extrapolated,
-            prior=known.problem.prior,
+            extrapolated=knowledge.extrapolated,
+            prior=knowledge.problem.prior,
         ).samples
         low, _, high = quantiles(samples.points, samples.weights)
-        found[name] = known.problem.named(0.5 * known.box.range * (high - low))
-    return found
+        widths[name] = knowledge.problem.named(0.5 * knowledge.box.range * (high - low))
+    return widths
 
 
 def begun(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
@@ -314,11 +314,11 @@ def narrowed(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
     enough = around.suffices(search.points) and np.sum(around.inside(search.points)) >= CONSTANTS.local_runs
     if not few or not enough or len(parts_of(search)) > 1:
         return search
-    found = search.informed(region=around)
-    return found if found.knowledge.posterior.emulator_share < before.emulator_share else search
+    informed = search.informed(region=around)
+    return informed if informed.knowledge.posterior.emulator_share < before.emulator_share else search
 
 
 def parts_of(search: WaveSearch[R, Inference]) -> list[Part]:
     """The separate parts of the 95 % region."""
-    found = search.knowledge.posterior
-    return parts(found.samples, found.likelihood, search.generator())
+    belief = search.knowledge.posterior
+    return parts(belief.samples, belief.likelihood, search.generator())

@@ -35,7 +35,7 @@ class ModelRun:
 
 def runs_of(points: Matrix, numbers: Iterable[Row]) -> list[ModelRun]:
     """Those at points [n, U] that show `numbers` [n, M]."""
-    return [ModelRun(point=point, numbers=each) for point, each in zip(points, numbers, strict=True)]
+    return [ModelRun(point=point, numbers=row) for point, row in zip(points, numbers, strict=True)]
 
 
 R = TypeVar("R", bound=ModelRun)
@@ -74,12 +74,12 @@ class WaveSearch(Generic[R, K]):
     @property
     def points(self) -> Matrix:
         """Of every run, shape [n, U]."""
-        return np.stack([each.point for each in self.every])
+        return np.stack([run.point for run in self.every])
 
     @property
     def numbers(self) -> Matrix:
         """Of every run, shape [n, M]."""
-        return np.stack([each.numbers for each in self.every])
+        return np.stack([run.numbers for run in self.every])
 
     def generator(self, number: int | None = None) -> np.random.Generator:
         """Random numbers of a step, the same after a restart; number: of the step, unless given that of the runs."""

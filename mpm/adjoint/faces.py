@@ -57,11 +57,15 @@ def found_reverse(block: ti.template(), put_back: ti.template(), arrays: ti.temp
     shear = (Contact.NORMAL + size) * lanes
     for lane in range(lanes):
         here = arrays.lanes[(block.state + features.state.present) * lanes + lane]
-        own, then = block.adj * lanes + lane, block.after * lanes + lane
-        at, contact, scratch = own + contacts, then + contacts, (block.scratch + layout.scratch.before) * lanes + lane
+        adj_at, then = block.adj * lanes + lane, block.after * lanes + lane
+        at, contact, scratch = (
+            adj_at + contacts,
+            then + contacts,
+            (block.scratch + layout.scratch.before) * lanes + lane,
+        )
         delta = arrays.history_lanes[contact + Contact.DELTA * lanes]
-        adj_x = lane_numbers(arrays.adjoint_lanes, own, arrays)
-        adj_v = lane_numbers(arrays.adjoint_lanes, own + velocity, arrays)
+        adj_x = lane_numbers(arrays.adjoint_lanes, adj_at, arrays)
+        adj_v = lane_numbers(arrays.adjoint_lanes, adj_at + velocity, arrays)
         adj_q = lane_numbers(arrays.adjoint_lanes, at + shear, arrays)
         adj_mass = 0.0 * here
         if depends(then, scene, arrays) and here > 0.0:
@@ -110,8 +114,8 @@ def found_reverse(block: ti.template(), put_back: ti.template(), arrays: ti.temp
             adj_x = adj_x + foot_reverse(x, n, face, (adj_friction, adj_d, adj_n), back, scene, arrays)
         elif ti.static(put_back):
             adj_q = 0.0 * adj_q
-        put_lane_numbers(arrays.adjoint_lanes, own, adj_x, arrays)
-        put_lane_numbers(arrays.adjoint_lanes, own + velocity, adj_v, arrays)
+        put_lane_numbers(arrays.adjoint_lanes, adj_at, adj_x, arrays)
+        put_lane_numbers(arrays.adjoint_lanes, adj_at + velocity, adj_v, arrays)
         put_lane_numbers(arrays.adjoint_lanes, at + shear, adj_q, arrays)
         for column in ti.static(range(len(Contact) - 1 + size)):
             arrays.adjoint_lanes[at + column * lanes] = 0.0 * here
@@ -163,9 +167,9 @@ def face_reverse(x, n, face, adj: ti.template(), back, arrays: ti.template()):
     normal = [facing[k] for k in ti.static(range(size))]
     frictions = [mu[k] for k in ti.static(range(size))]
     numbers = ti.static(([x[k] for k in range(size)], corners, normal, frictions))
-    found = ti.static([Pullback(at_face, numbers, (part, [n[k] for k in range(size)], size))])[0]
+    pullback = ti.static([Pullback(at_face, numbers, (part, [n[k] for k in range(size)], size))])[0]
     adj_found = [adj[0], adj[1]] + [adj[2][k] for k in ti.static(range(size))]
-    adj_x, adj_corners, adj_normal, adj_frictions = ti.static(found(adj_found))
+    adj_x, adj_corners, adj_normal, adj_frictions = ti.static(pullback(adj_found))
     for k in ti.static(range(size * size)):
         add_face(face, k, adj_corners[k], arrays)
     for k in ti.static(range(size)):
@@ -183,9 +187,9 @@ def bed_reverse(x, adj: ti.template(), scene, arrays: ti.template()):
     varied, spacing = ti.cast(varied_friction(scene, arrays), ti.i32), bed_spacing(scene, arrays)
     heights, frictions = nine(height, row, 1, arrays), nine(friction, varied * row, varied, arrays)
     numbers = ti.static(([x[axis] for axis in range(3)], frictions))
-    found = ti.static([Pullback(at_bed, numbers, (heights, [corner_x, corner_z], spacing))])[0]
+    pullback = ti.static([Pullback(at_bed, numbers, (heights, [corner_x, corner_z], spacing))])[0]
     adj_found = [adj[0], adj[1]] + [adj[2][axis] for axis in ti.static(range(3))]
-    adj_x, adj_frictions = ti.static(found(adj_found))
+    adj_x, adj_frictions = ti.static(pullback(adj_found))
     at = varied * (ti.cast(i, ti.i32) * row + ti.cast(k, ti.i32))
     for a, b in ti.static(ti.ndrange(3, 3)):
         arrays.terrain_adjoints[scene, at + varied * (a * row + b)] += ti.cast(adj_frictions[3 * a + b], ti.f64)
@@ -225,7 +229,7 @@ def foot_weights(x, points, part, dimension):
         inside = [1.0 - along[0], along[0]]
     else:
         across = between(points[0], points[2])
-        d = [(dot(edges[0], each), dot(across, each)) for each in from_corner]
+        d = [(dot(edges[0], offset), dot(across, offset)) for offset in from_corner]
         areas = [d[k - 2][0] * d[k - 1][1] - d[k - 1][0] * d[k - 2][1] for k in range(3)]
         inside = [area / (areas[0] + areas[1] + areas[2]) for area in areas]
     weights = []

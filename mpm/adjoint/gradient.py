@@ -78,7 +78,7 @@ class RunNumbers:
     def in_a_row(self, columns: int) -> Floats:
         """All of them, with so many columns of the properties."""
         parts = vars(self) | {"properties": self.properties[:, :columns]}
-        return np.concatenate([parts[each.name].ravel() for each in dataclasses.fields(RunNumbers)[2:]])
+        return np.concatenate([parts[field.name].ravel() for field in dataclasses.fields(RunNumbers)[2:]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,9 +90,9 @@ class Gradient(RunNumbers):
 
     def of_mass(self, values: Floats) -> Floats:
         """What particles have, summed over those of each mass, shape [masses, ...]."""
-        found = np.zeros((len(self.scene.masses), *values.shape[1:]))
-        np.add.at(found, self.particles.mass, values)
-        return found
+        sums = np.zeros((len(self.scene.masses), *values.shape[1:]))
+        np.add.at(sums, self.particles.mass, values)
+        return sums
 
     def material(self, name: str) -> Floats:
         """dJ/d(constant `name` of the material) of every particle, as if each had its own, shape [N].
@@ -100,22 +100,22 @@ class Gradient(RunNumbers):
         `friction_deg` at the angle of each particle, where a field of the scene gives it. Raises InputError for a
         constant of cohesion where a material has none.
         """
-        found = np.zeros(len(self.positions))
+        derivatives = np.zeros(len(self.positions))
         for index, material in enumerate(self.particles.materials):
             if name in ("cohesion", "tension_cutoff", "strength_gradient") and not material.cohesive:
                 reason = f"a run without any does not depend on {name}"
                 raise InputError(f"expected a material with cohesion, {reason}", key=name)
             here = self.particles.material == index
             depth, angles = self.particles.depth[here], self.particles.friction_deg
-            own = None if angles is None else angles[here]
-            varies = name == "friction_deg" and own is not None
+            friction_deg = None if angles is None else angles[here]
+            varies = name == "friction_deg" and friction_deg is not None
             at, step = (0.0, STEP * material.friction_deg) if varies else (material.constant(name), None)
-            rows = differences(partial(rows_at, material, depth, own, name), at, name, step)
+            rows = differences(partial(rows_at, material, depth, friction_deg, name), at, name, step)
             rows = rows[:, : self.properties.shape[1]]
             # The volume goes with the particle's initial position, not with its material.
             rows[:, Property.VOLUME] = 0.0
-            found[here] = (self.properties[here] * rows).sum(axis=1)
-        return found
+            derivatives[here] = (self.properties[here] * rows).sum(axis=1)
+        return derivatives
 
     def setting(self, name: str) -> float:
         """dJ/d(number `name` of the scene): floor_friction, wall_friction, damping, gravity, slope_deg, ..."""
@@ -138,7 +138,7 @@ class Gradient(RunNumbers):
         Of a path along which a field changes everywhere, with its `slopes`, these are the derivatives by what each
         particle and each post has of the field.
         """
-        names = [each.name for each in dataclasses.fields(RunNumbers)[2:]]
+        names = [field.name for field in dataclasses.fields(RunNumbers)[2:]]
         ends, count = np.cumsum([vars(self)[name].size for name in names]), len(self.positions)
         parts = dict(zip(names, np.split(self.products(slopes), ends[:-1]), strict=True))
         of_particles = names[: names.index("settings")]
@@ -250,7 +250,7 @@ def faces_and_holds(scene: Scene, nodes: NDArray[np.int64], base: Floats) -> tup
     window, first, ours, _ = holds_at(scene, surface, np.unique(nodes, axis=0))
     owners, count = np.repeat(np.arange(len(first) - 1), np.diff(first)), int(max(base[:, 0].max(), *ours[:, 0], 0)) + 1
     rows = (window.numbers(nodes), base), (owners, ours)
-    keys, our_keys = (node * count + each[:, 0].astype(np.int64) for node, each in rows)
+    keys, our_keys = (node * count + hold_rows[:, 0].astype(np.int64) for node, hold_rows in rows)
     _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
     holds[at] = ours[our_at]
     return lines, holds, terrain
@@ -261,12 +261,12 @@ def particles_with(scene: Scene, base: Start) -> tuple[Particles, Floats]:
     if placement(scene) != placement(base.scene):
         particles = initial_particles(scene)
         return particles, properties_of(particles)
-    soils, known = ([each.material_of(mass) for mass in each.masses] for each in (scene, base.scene))
+    soils, base_soils = ([version.material_of(mass) for mass in version.masses] for version in (scene, base.scene))
     materials = {material: number for number, material in enumerate(dict.fromkeys(soils))}
-    own = np.array([materials[material] for material in soils], np.int32)[base.particles.mass]
-    particles = dataclasses.replace(base.particles, materials=tuple(materials), material=own)
+    numbers = np.array([materials[material] for material in soils], np.int32)[base.particles.mass]
+    particles = dataclasses.replace(base.particles, materials=tuple(materials), material=numbers)
     properties = base.properties.copy()
-    for mass in np.flatnonzero([ours != theirs for ours, theirs in zip(soils, known, strict=True)]):
+    for mass in np.flatnonzero([ours != theirs for ours, theirs in zip(soils, base_soils, strict=True)]):
         here = particles.mass == mass
         properties[here] = properties_at(soils[mass], particles.depth[here])
         properties[here, Property.VOLUME] = particles.volume[here]

@@ -43,12 +43,12 @@ class Pass(Enum):
 def copy_state(worker, step, keep: ti.template(), arrays: ti.template()):
     """Keep the states of a worker's blocks as those before `step`, or bring these back."""
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        at, own = state_before(step, block, arrays), block * arrays.features.state.size
+        at, state_at = state_before(step, block, arrays), block * arrays.features.state.size
         for k in range(arrays.layout.history):
             if ti.static(keep):
-                arrays.history[at + k] = arrays.state[own + k]
+                arrays.history[at + k] = arrays.state[state_at + k]
             else:
-                arrays.state[own + k] = arrays.history[at + k]
+                arrays.state[state_at + k] = arrays.history[at + k]
 
 
 @ti.func

@@ -35,7 +35,9 @@ class Number:
 
     def __init__(self, tape: list["Number"], value: Any, *operands: tuple[Any, Rule], active: bool = False) -> None:
         self.tape, self.value = tape, expr_init(value)
-        self.operands: list[tuple[Number, Rule]] = [each for each in operands if getattr(each[0], "active", False)]
+        self.operands: list[tuple[Number, Rule]] = [
+            operand for operand in operands if getattr(operand[0], "active", False)
+        ]
         self.active: bool = active or bool(self.operands)
         """Whether it depends on an argument that has an adjoint."""
         self.adj: Any = None
@@ -54,19 +56,19 @@ class Number:
         factor = plain(other)
         if isinstance(other, float) and other == 0.0:
             return Number(self.tape, 0.0 * self.value)
-        own = (self, lambda adj: adj * factor)
-        return Number(self.tape, self.value * factor, own, (other, lambda adj: adj * self.value))
+        operand = (self, lambda adj: adj * factor)
+        return Number(self.tape, self.value * factor, operand, (other, lambda adj: adj * self.value))
 
     def __truediv__(self, other: Any) -> "Number":
         divisor = plain(other)
         per = cache(lambda: expr_init(1.0 / divisor))
-        own, divided = (self, lambda adj: adj * per()), (other, lambda adj: 0.0 - adj * result.value * per())
-        result: Number = Number(self.tape, self.value / divisor, own, divided)
+        numerator, divided = (self, lambda adj: adj * per()), (other, lambda adj: 0.0 - adj * result.value * per())
+        result: Number = Number(self.tape, self.value / divisor, numerator, divided)
         return result
 
     def __rtruediv__(self, other: float) -> "Number":
-        own = (self, lambda adj: 0.0 - adj * result.value / self.value)
-        result: Number = Number(self.tape, other / self.value, own)
+        operand = (self, lambda adj: 0.0 - adj * result.value / self.value)
+        result: Number = Number(self.tape, other / self.value, operand)
         return result
 
     def __pow__(self, power: int) -> "Number":
@@ -86,8 +88,8 @@ def plain(number: Any) -> Any:
 
 def root(a: Number) -> Number:
     """As `ti.sqrt`."""
-    own = (a, lambda adj: ti.select(result.value > 0.0, 0.5 * adj / result.value, 0.0))
-    result: Number = Number(a.tape, ti.sqrt(a.value), own)
+    operand = (a, lambda adj: ti.select(result.value > 0.0, 0.5 * adj / result.value, 0.0))
+    result: Number = Number(a.tape, ti.sqrt(a.value), operand)
     return result
 
 
@@ -106,26 +108,26 @@ OPERATIONS = SimpleNamespace(static=lambda value: value, sqrt=root, select=selec
 def traceable(function: Callable[..., Any]) -> Callable[..., Any]:
     """The Python of a function of Taichi, with `OPERATIONS` for Taichi's and the Python of those that it calls."""
     python: Any = getattr(function, "__wrapped__", function)
-    used = {name: each for name, each in python.__globals__.items() if name in names_in(python.__code__)}
-    used = {name: traceable(each) if isinstance(each, FunctionType) else each for name, each in used.items()}
+    used = {name: value for name, value in python.__globals__.items() if name in names_in(python.__code__)}
+    used = {name: traceable(value) if isinstance(value, FunctionType) else value for name, value in used.items()}
     names = {**used, "ti": OPERATIONS, "__builtins__": python.__builtins__}
     return FunctionType(python.__code__, names, python.__name__, python.__defaults__, python.__closure__)
 
 
 def names_in(code: CodeType) -> set[str]:
     """The names that a function uses, in its comprehensions too."""
-    inner = (names_in(each) for each in code.co_consts if isinstance(each, CodeType))
+    inner = (names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType))
     return set(code.co_names).union(*inner)
 
 
 def mapped(change: Callable[[Any], Any], values: Any) -> Any:
     """`values`, nested in lists and tuples, each changed."""
-    return [mapped(change, each) for each in values] if isinstance(values, list | tuple) else change(values)
+    return [mapped(change, value) for value in values] if isinstance(values, list | tuple) else change(values)
 
 
 def flat(values: Any) -> list[Any]:
     """Values nested in lists and tuples, one after the other."""
-    return [one for each in values for one in flat(each)] if isinstance(values, list | tuple) else [values]
+    return [one for value in values for one in flat(value)] if isinstance(values, list | tuple) else [values]
 
 
 class Pullback:
@@ -136,10 +138,10 @@ class Pullback:
 
     def __init__(self, function: Callable[..., Any], arguments: Sequence[Any], constants: Sequence[Any] = ()) -> None:
         self.tape: list[Number] = []
-        self.arguments = mapped(lambda each: Number(self.tape, each, active=True), arguments)
-        others = mapped(lambda each: Number(self.tape, each) if isinstance(each, Expr) else each, constants)
+        self.arguments = mapped(lambda value: Number(self.tape, value, active=True), arguments)
+        others = mapped(lambda value: Number(self.tape, value) if isinstance(value, Expr) else value, constants)
         self.results = flat(traceable(function)(*self.arguments, *others))
-        self.values = [plain(each) for each in self.results]
+        self.values = [plain(result) for result in self.results]
 
     def __call__(self, adjoints: Sequence[Any]) -> list[Any]:
         """Adjoints of the arguments from those of the values; a value that is None has none."""
@@ -151,5 +153,5 @@ class Pullback:
                 share = rule(number.adj)
                 operand.adj = expr_init(share if operand.adj is None else operand.adj + share)
         none = expr_init(0.0 * adjoints[0])
-        found: list[Any] = mapped(lambda each: none if each.adj is None else each.adj, self.arguments)
-        return found
+        gradients: list[Any] = mapped(lambda argument: none if argument.adj is None else argument.adj, self.arguments)
+        return gradients

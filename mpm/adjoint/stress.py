@@ -56,7 +56,7 @@ def before_return(columns, strained, moduli, opening, box, dt, strengths_at, fea
 def increment_of(strained, dt, features):
     """Strain and rotation [-] of a step of a block, traced: of C and of contact."""
     _, affine, jump, contact = strained
-    increment = midpoint_increment([dt * each for each in affine], features.dimension)
+    increment = midpoint_increment([dt * entry for entry in affine], features.dimension)
     return with_jump(increment, jump, contact, features.dimension) if features.contact else increment
 
 
@@ -188,8 +188,8 @@ def plastic_return_reverse(
     adj_strain, adj_opened = adj[features.stresses], adj[features.stresses + 1]
     if ti.static(hasattr(features.law, "return_tensor")):
         whole = ti.static([Pullback(features.law.return_tensor, (trial, strengths, lame, shear), (features,))])[0]
-        found = ti.static(whole(adj))
-        return found[0], found[1], [found[2], found[3]]
+        adjoints = ti.static(whole(adj))
+        return adjoints[0], adjoints[1], [adjoints[2], adjoints[3]]
     else:
         p = (trial[0] + trial[1] + trial[2]) / 3.0
         # In 2D nothing turns out of the plane.
@@ -202,13 +202,13 @@ def plastic_return_reverse(
         step = ti.static([Pullback(principal_return, numbers, (traceable(features.law.return_principal), features))])[0]
         t = ti.static(step.values)
         halves = [ti.static(1.0 if k < 3 else 0.5) * adj[k] for k in ti.static(range(features.stresses))]
-        own = in_axes(halves + none, axes)
-        g = ti.static(step([own[0], own[1], own[2], adj_strain, adj_opened]))
+        principal = in_axes(halves + none, axes)
+        g = ti.static(step([principal[0], principal[1], principal[2], adj_strain, adj_opened]))
         elastic = features.law.elastic_at(s, strengths, features)
         alike = elastic | features.law.fell_alike(s, t, strengths, lame, shear, features)
-        k12 = theta(t[0] - t[1], a[0] - a[1], elastic) * own[3]
-        k23 = theta(t[1] - t[2], a[1] - a[2], alike) * own[4]
-        k31 = theta(t[0] - t[2], a[0] - a[2], elastic) * own[5]
+        k12 = theta(t[0] - t[1], a[0] - a[1], elastic) * principal[3]
+        k23 = theta(t[1] - t[2], a[1] - a[2], alike) * principal[4]
+        k31 = theta(t[0] - t[2], a[0] - a[2], elastic) * principal[5]
         back = in_axes([g[0], g[1], g[2], k12, k23, k31], [axes[3 * (k % 3) + k // 3] for k in ti.static(range(9))])
         adj_trial = [ti.static(1.0 if k < 3 else 2.0) * back[k] for k in ti.static(range(features.stresses))]
         return adj_trial, g[3], [g[4], g[5]]

@@ -64,10 +64,10 @@ def check(features: Features) -> None:
 def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
     """`frames` in ascending order, once each. Raises InputError for one that a scene has not."""
     shortest = min(scene.frames for scene in scenes)
-    found = sorted(set(frames))
-    if not found or found[0] < 0 or found[-1] >= shortest or found[-1] == 0:
+    ascending = sorted(set(frames))
+    if not ascending or ascending[0] < 0 or ascending[-1] >= shortest or ascending[-1] == 0:
         raise InputError(f"expected frames from 0 to {shortest - 1}, one of them after the first, got {list(frames)}")
-    return found
+    return ascending
 
 
 def steady(scene: Scene) -> Scene:
@@ -79,7 +79,7 @@ def steady(scene: Scene) -> Scene:
     """
     if scene.dimension < 3:
         return scene
-    moduli = [(each.lame, 2.0 * each.shear_modulus) for each in map(scene.material_of, scene.masses)]
+    moduli = [(material.lame, 2.0 * material.shear_modulus) for material in map(scene.material_of, scene.masses)]
     stable = min(math.sqrt((lame + twice) / (3.0 * lame + twice)) for lame, twice in moduli)
     return dataclasses.replace(scene, step_fraction=min(scene.step_fraction, stable))
 
@@ -292,13 +292,13 @@ class Tape:
             }
             for per_scene in flow_adjoints
         ]
-        forced = any(each.impulses is not None for per_scene in flow_adjoints for each in per_scene)
+        forced = any(adjoints.impulses is not None for per_scene in flow_adjoints for adjoints in per_scene)
         walk = adjoint_kernel(dataclasses.replace(layout, impulses=forced))
 
-        def call(own: dict[str, Array], first: int, last: int, direction: Pass) -> bool:
+        def call(objective: dict[str, Array], first: int, last: int, direction: Pass) -> bool:
             """Whether the call came to its end: else grids had no room, which they have now."""
             batch.arrivals = np.zeros(len(batch.workers), np.int32)
-            walk(*arguments(STEP | ADJOINT, vars(batch) | shared | own, lanes).values(), first, last, direction)
+            walk(*arguments(STEP | ADJOINT, vars(batch) | shared | objective, lanes).values(), first, last, direction)
             grown = batch.grow_grid()
             if grown:
                 shared.update(self.nodes())
@@ -316,19 +316,19 @@ class Tape:
             while not replay(segment, first, last):
                 pass
             counts = shared["step_counts"].copy()
-            for own, per_scene in zip(objectives, flow_adjoints, strict=True):
+            for objective, per_scene in zip(objectives, flow_adjoints, strict=True):
                 if last in self.frames:
-                    self.add_adjoints(own, per_scene, self.frames.index(last))
+                    self.add_adjoints(objective, per_scene, self.frames.index(last))
                 shared["step_counts"][:] = counts
-                while not call(own, first + 1, last + 1, Pass.REVERSE):
+                while not call(objective, first + 1, last + 1, Pass.REVERSE):
                     pass
         batch.retained[:, Retained.OPENED] = opened
-        for own, per_scene in zip(objectives, flow_adjoints, strict=True):
-            call(own, 0, 0, Pass.START)
+        for objective, per_scene in zip(objectives, flow_adjoints, strict=True):
+            call(objective, 0, 0, Pass.START)
             if 0 in self.frames:
-                self.add_adjoints(own, per_scene, 0)
+                self.add_adjoints(objective, per_scene, 0)
         steps = self.steps.sum(axis=0) * batch.offsets[:, Offset.PARTICLES]
-        shares = [own["cuts"][:, 1] / steps for own in objectives]
+        shares = [objective["cuts"][:, 1] / steps for objective in objectives]
         for index, share in enumerate(np.max(shares, axis=0)):
             if share > MOST_CUT:
                 fraction = batch.scenes[index].step_fraction
@@ -336,9 +336,9 @@ class Tape:
                     f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints were "
                     f"cut, of single particles that swing; try a step_fraction below {fraction:g}"
                 )
-        for own, share in zip(objectives, shares, strict=True):
-            own["cut"], own["settings"] = share, np.zeros((len(batch.scenes), len(Setting)))
-            np.add.at(own["settings"], batch.workers[:, Worker.SCENE], own["sums"])
+        for objective, share in zip(objectives, shares, strict=True):
+            objective["cut"], objective["settings"] = share, np.zeros((len(batch.scenes), len(Setting)))
+            np.add.at(objective["settings"], batch.workers[:, Worker.SCENE], objective["sums"])
         return objectives
 
     def nodes(self) -> dict[str, Array]:
@@ -348,28 +348,30 @@ class Tape:
 
     def cuts(self, per_scene: Sequence[FlowAdjoints]) -> Array:
         """The square of the largest adjoint of a velocity, and how many were beyond it so far, shape [scenes, 2]."""
-        found = np.zeros((len(per_scene), 2))
-        for index, own in enumerate(per_scene):
+        limits = np.zeros((len(per_scene), 2))
+        for index, adjoints in enumerate(per_scene):
             time = self.frames[-1] * self.batch.scenes[index].frame_dt
-            usual = np.abs(own.positions).max() * time
-            if own.velocities is not None:
-                usual += np.abs(own.velocities).max()
-            if own.impulses is not None:
+            usual = np.abs(adjoints.positions).max() * time
+            if adjoints.velocities is not None:
+                usual += np.abs(adjoints.velocities).max()
+            if adjoints.impulses is not None:
                 particles = self.batch.particles[index]
-                usual += float((particles.density * particles.volume).max()) * np.abs(own.impulses).sum()
-            found[index, 0] = np.inf if self.layout.exact else (CUT * usual) ** 2
-        return found
+                usual += float((particles.density * particles.volume).max()) * np.abs(adjoints.impulses).sum()
+            limits[index, 0] = np.inf if self.layout.exact else (CUT * usual) ** 2
+        return limits
 
-    def add_adjoints(self, own: dict[str, Array], per_scene: Sequence[FlowAdjoints], slot: int) -> None:
+    def add_adjoints(self, objective: dict[str, Array], per_scene: Sequence[FlowAdjoints], slot: int) -> None:
         """Add to the adjoints of blocks and impulses those of what is observed at frame number `slot`."""
         for index, observed in enumerate(per_scene):
             here = self.particles(index)
             for first, values in ((0, observed.positions), (self.features.state.velocity, observed.velocities)):
                 if values is not None:
-                    flat = self.vectors(own["adjoints"], first)
+                    flat = self.vectors(objective["adjoints"], first)
                     flat[here] += values[slot]
-                    put_vectors(own["adjoints"], first, flat)
+                    put_vectors(objective["adjoints"], first, flat)
             if observed.impulses is not None:
                 for worker in self.batch.workers[self.batch.workers[:, Worker.SCENE] == index]:
                     at = int(worker[Worker.IMPULSE])
-                    own["impulse_adjoints"][at : at + observed.impulses[slot].size] += observed.impulses[slot].ravel()
+                    objective["impulse_adjoints"][at : at + observed.impulses[slot].size] += observed.impulses[
+                        slot
+                    ].ravel()

@@ -96,8 +96,8 @@ class Batch:
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
         self.in_kernel = record.every == 1 and not record.state and file is None
         block = column = impulse = line = recorded = recorded_impulse = 0
-        for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
-            count = len(own.positions)
+        for index, (scene, sand, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
+            count = len(sand.positions)
             blocks = -(-count // lanes)
             nodes = [*node_shape(scene.domain), 1][:3]
             offset[Offset.BLOCK], offset[Offset.PARTICLES] = block, count
@@ -107,11 +107,11 @@ class Batch:
             offset[Offset.ENERGY], offset[Offset.OBSTACLES] = line, len(scene.baffles) + len(scene.solids)
             offset[Offset.OPEN] = sum(1 << DOMAIN_SIDES.index(side) for side in scene.open_sides)
             offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
-            offset[Offset.WINDOW] = min(window_frames(scene, own.materials), INDEX_LIMIT)
+            offset[Offset.WINDOW] = min(window_frames(scene, sand.materials), INDEX_LIMIT)
             # The impulses of the box are those of its sides and of the barriers.
             walls = 2 * scene.dimension + 1 if record.wall_forces else 0
             solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + walls
-            offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
+            offset[Offset.SUBSTEPS] = substeps_per_frame(scene, sand.materials)
             ends = np.linspace(0, blocks, workers + 1).astype(int)
             for number in range(workers):
                 worker = self.workers[index * workers + number]
@@ -162,7 +162,7 @@ class Batch:
         self.computed = 0
         self.record = [self.empty_record(index) for index in range(len(scenes))]
         """Of each scene what is kept of its particles by name, positions and fields, shape [T, N, ...] each."""
-        self.staged = np.zeros((len(scenes), max(1, *(len(each.stages) for each in scenes))), np.int32)
+        self.staged = np.zeros((len(scenes), max(1, *(len(scene.stages) for scene in scenes))), np.int32)
         """The frame in which each stage of each scene began, 0 where it has not."""
 
     def make_grid(self) -> None:

@@ -291,8 +291,8 @@ def drags_of(scene: Scene) -> list[float]:
     [m/s^2] of those whose xi varies (`drag_tables`).
     """
     coefficients = [*(baffle.turbulence for baffle in scene.baffles), *(solid.turbulence for solid in scene.solids)]
-    fixed = [1.0 if isinstance(each, tuple) else each for each in coefficients]
-    return [0.0 if each is None else scene.gravity / each for each in fixed]
+    fixed = [1.0 if isinstance(xi, tuple) else xi for xi in coefficients]
+    return [0.0 if xi is None else scene.gravity / xi for xi in fixed]
 
 
 def varies(scene: Scene) -> bool:

@@ -76,15 +76,15 @@ class Arrays:
 
 def arguments(arrays: Mapping[str, ArrayKind], memory: Mapping[str, Any], lanes: int) -> dict[str, Any]:
     """The arrays of a table in its order and in the shape that a kernel takes, from NumPy arrays by name."""
-    found = {}
+    reshaped = {}
     for name, kind in arrays.items():
         array = memory[VIEWS.get(name, name)]
         if kind is ArrayKind.BLOCKS and lanes > 1:
             array = array.reshape(-1, lanes)
         elif kind is not ArrayKind.NODES and kind.value[1] == 1:
             array = array.reshape(-1)
-        found[name] = array
-    return found
+        reshaped[name] = array
+    return reshaped
 
 
 def kernel_of(

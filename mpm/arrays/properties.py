@@ -52,7 +52,7 @@ def roughest(scene: Scene) -> float:
     if features_of([scene], "f32").cohesive:
         return NO_SLIP
     materials = [scene.material_of(mass) for mass in scene.masses]
-    steepest = max(max(math.radians(each.phi_deg), math.asin(each.sin_phi_limit)) for each in materials)
+    steepest = max(max(math.radians(material.phi_deg), math.asin(material.sin_phi_limit)) for material in materials)
     return max(DRY_GRIP, math.tan(steepest))
 
 
@@ -143,8 +143,8 @@ def properties_of(particles: Particles) -> Array:
     rows = np.empty((len(particles.material), len(Property) + len(law.Column)))
     for index, material in enumerate(particles.materials):
         here = particles.material == index
-        own = None if particles.friction_deg is None else particles.friction_deg[here]
-        rows[here] = properties_at(material, particles.depth[here], own)
+        friction_deg = None if particles.friction_deg is None else particles.friction_deg[here]
+        rows[here] = properties_at(material, particles.depth[here], friction_deg)
     rows[:, Property.VOLUME] = particles.volume
     return rows
 
@@ -171,5 +171,5 @@ def elastic_energy(particles: Particles, stress: Array) -> float:
     rows = np.array([properties_row(material, 0.0) for material in particles.materials])[particles.material]
     square = (stress[:, :3] ** 2).sum(axis=1) + 2.0 * (stress[:, 3:] ** 2).sum(axis=1)
     trace = stress[:, :3].sum(axis=1)
-    each = rows[:, Property.ELASTIC_DEVIATOR] * square - rows[:, Property.ELASTIC_TRACE] * trace**2
-    return float(particles.volume @ each)
+    energy_density = rows[:, Property.ELASTIC_DEVIATOR] * square - rows[:, Property.ELASTIC_TRACE] * trace**2
+    return float(particles.volume @ energy_density)

@@ -46,8 +46,8 @@ def parameters_of(material: Material) -> Any:
 def law_of(materials: Iterable[Material]) -> Any:
     """The module of the law that all materials have. Raises InputError where they differ, and for wrong keys of it."""
     given = [*materials]
-    for each in given:
-        parameters_of(each)
-    names = sorted({each.law for each in given})
+    for material in given:
+        parameters_of(material)
+    names = sorted({material.law for material in given})
     require(len(names) == 1, "material.law", "masses of one law", " and ".join(names))
     return law_named(names[0])

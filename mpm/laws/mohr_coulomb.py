@@ -86,9 +86,9 @@ RESIDUAL = Column.RESIDUAL_SIN_PHI, Column.RESIDUAL_STRENGTH, Column.RESIDUAL_LI
 def features(materials: Sequence[Material], stages: Sequence[Stage]) -> dict[str, bool]:
     """Which of its parts these materials need, at the start or after a stage."""
     return {
-        "cohesive": any(each.cohesive for each in materials)
+        "cohesive": any(material.cohesive for material in materials)
         or any(stage.cohesion or stage.strength_gradient for stage in stages),
-        "dilates": any(each.dilation_deg for each in materials) or any(stage.dilation_deg for stage in stages),
+        "dilates": any(material.dilation_deg for material in materials) or any(stage.dilation_deg for stage in stages),
         "softens": any(material.softening_length is not None for material in materials),
         "inertial": any(material.friction_limit_deg is not None for material in materials),
     }
@@ -119,12 +119,12 @@ def properties(material: Material, depth: Floats, friction_deg: Floats | None) -
     remains = friction_deg if material.residual_friction_deg is None else None
     limits = material.tension_limit_at, material.residual_tension_limit_at
     states = (material, limits[0], friction_deg, PEAK), (material.residual, limits[1], remains, RESIDUAL)
-    for state, limit_at, own, (sine, strength, limit) in states:
-        if own is None:
+    for state, limit_at, given_deg, (sine, strength, limit) in states:
+        if given_deg is None:
             phi = math.radians(state.phi_deg)
             values[sine], cosine, tangent = math.sin(phi), math.cos(phi), None
         else:
-            angle = np.radians(material.phi_deg_of(own, material.dilation_deg))
+            angle = np.radians(material.phi_deg_of(given_deg, material.dilation_deg))
             values[sine], cosine, tangent = np.sin(angle), np.cos(angle), np.tan(angle)
         values[strength] = 2.0 * state.cohesion_at(depth) * cosine
         values[limit] = limit_at(depth, tangent)

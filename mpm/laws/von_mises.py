@@ -62,7 +62,7 @@ class Column(IntEnum):
 
 def features(materials: Sequence[Material], stages: Sequence[Stage]) -> dict[str, bool]:
     """Strength without pressure; with hardening the plastic strain, too."""
-    return {"cohesive": True, "softens": any(parameters_of(each).hardening for each in materials)}
+    return {"cohesive": True, "softens": any(parameters_of(material).hardening for material in materials)}
 
 
 def columns(features: Any) -> list[Column]:
@@ -74,14 +74,14 @@ def properties(material: Material, depth: Floats, friction_deg: Floats | None) -
     """Columns of N particles, shape [N, 2]. Raises InputError for particles with a friction of their own."""
     if friction_deg is not None:
         raise InputError(f"expected no field of friction beside law = {material.law!r}, which has none", key="fields")
-    own = parameters_of(material)
-    return np.tile([own.strength, own.hardening], (len(depth), 1))
+    parameters = parameters_of(material)
+    return np.tile([parameters.strength, parameters.hardening], (len(depth), 1))
 
 
 def weakened(material: Material, factor: float) -> Material:
     """`material` with its strength, and so its hardening, divided by `factor`."""
-    own = dataclasses.asdict(parameters_of(material))
-    return dataclasses.replace(material, constants={key: value / factor for key, value in own.items()})
+    parameters = dataclasses.asdict(parameters_of(material))
+    return dataclasses.replace(material, constants={key: value / factor for key, value in parameters.items()})
 
 
 def limit(rows: Floats) -> Floats:

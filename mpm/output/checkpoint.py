@@ -107,5 +107,5 @@ def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
         **({"staged": batch.staged} if batch.scenes[0].stages else {}),
         **({"inflows": batch.inflows} if batch.features.inflow else {}),
         # Those in a file stay there.
-        **({name: each[:kept] for name, each in batch.record[0].items()} if batch.file is None else {}),
+        **({name: series[:kept] for name, series in batch.record[0].items()} if batch.file is None else {}),
     }

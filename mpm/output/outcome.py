@@ -86,7 +86,7 @@ def outflow(batch: Batch, index: int) -> dict[str, float]:
 
 def fields_of(batch: Batch, index: int) -> dict[str, Any]:
     """The fields of scene `index` where they were asked for, by the names of `datasets.flow.trajectory.Trajectory`."""
-    fields: dict[str, Any] = {name: each for name, each in batch.record[index].items() if name != "positions"}
+    fields: dict[str, Any] = {name: values for name, values in batch.record[index].items() if name != "positions"}
     if "pore_pressure" in fields:
         # Below zero it says how far water has to go before it presses again.
         fields["pore_pressure"] = np.maximum(fields["pore_pressure"], 0.0)
@@ -134,7 +134,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         "particles": len(deposit),
         "rest_time": began * scene.frame_dt if rest else None,
         "end_time": (rest or scene.frames - 1) * scene.frame_dt,
-        "energy": {each.name.lower(): rounded(energies[:, each]) for each in kinds},
+        "energy": {kind.name.lower(): rounded(energies[:, kind]) for kind in kinds},
         "wall_s": wall_s,
         "compile_s": compile_s,
         "arch": arch,
@@ -212,4 +212,4 @@ def caveats(
 
 def rounded(series: NDArray[np.float64]) -> Any:
     """A series of numbers or vectors, shape [T, ...], with six digits, as lists."""
-    return [rounded(each) if each.ndim else float(f"{each:.6g}") for each in series]
+    return [rounded(value) if value.ndim else float(f"{value:.6g}") for value in series]

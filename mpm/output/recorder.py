@@ -143,8 +143,8 @@ def record_impulses(scene, frame, arrays: ti.template()):
     features = arrays.features
     count = arrays.offsets[scene, Offset.SOLIDS]
     line = arrays.offsets[scene, Offset.IMPULSE] + frame * count
-    each = arrays.workers.shape[0] // arrays.offsets.shape[0]
-    for worker in range(scene * each, (scene + 1) * each):
+    per_scene = arrays.workers.shape[0] // arrays.offsets.shape[0]
+    for worker in range(scene * per_scene, (scene + 1) * per_scene):
         for number in range(count):
             for k in ti.static(range(features.dimension)):
                 at = arrays.workers[worker, Worker.IMPULSE] + number * features.dimension + k

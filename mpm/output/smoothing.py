@@ -59,15 +59,15 @@ def smoothed(values: Floats, positions: Floats, volume: float | Floats, scene: S
 
     positions: [m], shape [T, N, D]; volume: of each particle [m^D], one for all or shape [N].
     """
-    found = np.empty(values.shape, np.float32)
-    own = np.broadcast_to(np.asarray(volume, np.float64), positions.shape[1])
+    smooth = np.empty(values.shape, np.float32)
+    volumes = np.broadcast_to(np.asarray(volume, np.float64), positions.shape[1])
     for frame, points in enumerate(positions):
         to_particles = weights(points, scene)
         to_nodes = to_particles.T
-        at_nodes = to_nodes @ own
+        at_nodes = to_nodes @ volumes
         inverse = np.divide(1.0, at_nodes, out=np.zeros_like(at_nodes), where=at_nodes > 0.0)
         field = values[frame].astype(np.float64).reshape(len(points), -1)
         for _ in range(PASSES):
-            field = to_particles @ ((to_nodes @ (own[:, None] * field)) * inverse[:, None])
-        found[frame] = field.reshape(values.shape[1:])
-    return found
+            field = to_particles @ ((to_nodes @ (volumes[:, None] * field)) * inverse[:, None])
+        smooth[frame] = field.reshape(values.shape[1:])
+    return smooth

@@ -133,7 +133,7 @@ def find_bed(block, scratch, nearby, worker, scene, arrays: ti.template()):
     other = 0.0 * d + FAR
     if ti.static(features.listed):
         other = arrays.state[contact + Contact.DISTANCE]
-    known = (d < other) & (d < nearby)
+    nearest = (d < other) & (d < nearby)
     inside = d < 0.0
     outside = maximum(d, 0.0)
     delta = contact_delta(outside, arrays.settings[scene, Setting.CONTACT_WIDTH])
@@ -150,18 +150,18 @@ def find_bed(block, scratch, nearby, worker, scene, arrays: ti.template()):
         lost = ti.select(stopped, velocity[axis] - keep * along[axis], 0.0)
         arrays.state[x + features.state.velocity] = velocity[axis] - lost
         add(arrays.impulse, impulse + axis, mass * lost, arrays)
-        put_known(contact + Contact.NORMAL + axis, known, normal[axis], arrays)
+        put_known(contact + Contact.NORMAL + axis, nearest, normal[axis], arrays)
     face = 0.0 * d + (1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE)
-    put_known(contact + Contact.FRICTION, known, friction, arrays)
-    put_known(contact + Contact.FACE, known, face, arrays)
-    put_known(contact + Contact.FREE, known, other, arrays)
+    put_known(contact + Contact.FRICTION, nearest, friction, arrays)
+    put_known(contact + Contact.FACE, nearest, face, arrays)
+    put_known(contact + Contact.FREE, nearest, other, arrays)
     # Beyond the search a lower bound; the distance of a face that is nearer stays.
     bound = ti.select(other < nearby, other, minimum(other, above * nearness(scene, arrays)))
-    arrays.state[contact + Contact.DISTANCE] = ti.select(known, outside, bound)
+    arrays.state[contact + Contact.DISTANCE] = ti.select(nearest, outside, bound)
     if ti.static(features.listed):
-        put_known(contact + Contact.DELTA, known, delta, arrays)
+        put_known(contact + Contact.DELTA, nearest, delta, arrays)
     else:
-        arrays.state[contact + Contact.DELTA] = ti.select(known, delta, 0.0)
+        arrays.state[contact + Contact.DELTA] = ti.select(nearest, delta, 0.0)
 
 
 @ti.func

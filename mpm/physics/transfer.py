@@ -302,11 +302,11 @@ def read_ahead(scene, block, scratch, lane, arrays: ti.template()):
     lines = ti.static(-(-features.state.size * REGISTER // (features.lanes * CACHE_LINE)))
     last = arrays.offsets[scene, Offset.BLOCK] + (arrays.offsets[scene, Offset.PARTICLES] - 1) // lanes
     at = no_overflow((ti.min(block + 1, last) * lanes + lane) * features.state.size)
-    found = arrays.lanes[at]
+    total = arrays.lanes[at]
     for k in ti.static(range(1, lines)):
-        found = found + arrays.lanes[at + ti.static(k * features.state.size // lines)]
+        total = total + arrays.lanes[at + ti.static(k * features.state.size // lines)]
     # Kept, though nobody needs it: else nothing would be read.
-    arrays.scratch_lanes[no_overflow(scratch * lanes + lane) + features.scratch.ahead * lanes] = found
+    arrays.scratch_lanes[no_overflow(scratch * lanes + lane) + features.scratch.ahead * lanes] = total
 
 
 @ti.func
@@ -359,25 +359,25 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, loose, arrays: ti
     """
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
-    own = no_overflow(scratch * lanes + lane)
-    at = own + (features.scratch.lowest + size) * lanes
+    lane_at = no_overflow(scratch * lanes + lane)
+    at = lane_at + (features.scratch.lowest + size) * lanes
     affine = no_overflow(first * lanes + lane) + features.state.affine * lanes
     if ti.static(features.turbulent):
-        arrays.scratch_lanes[own + features.scratch.layer * lanes] = v[size]
-        arrays.scratch_lanes[own + (features.scratch.layer + 1) * lanes] = v[features.node.distance]
+        arrays.scratch_lanes[lane_at + features.scratch.layer * lanes] = v[size]
+        arrays.scratch_lanes[lane_at + (features.scratch.layer + 1) * lanes] = v[features.node.distance]
     for i in ti.static(range(size)):
         arrays.scratch_lanes[at + i * lanes] = v[i]
         arrays.scratch_lanes[at + (size + i) * lanes] = v[features.node.change + i]
     if ti.static(features.volume_correction):
         if loose:
-            arrays.scratch_lanes[own + features.scratch.density * lanes] = v[size]
+            arrays.scratch_lanes[lane_at + features.scratch.density * lanes] = v[size]
             for j in ti.static(range(size)):
-                arrays.scratch_lanes[own + (features.scratch.density + 1 + j) * lanes] = slopes[j][size]
+                arrays.scratch_lanes[lane_at + (features.scratch.density + 1 + j) * lanes] = slopes[j][size]
                 for i in ti.static(range(size)):
                     # C itself is still read: the compiler knows not that `state` and `lanes` are one memory.
                     k = ti.static(size * i + j)
-                    arrays.scratch_lanes[own + (features.scratch.gradient + k) * lanes] = slopes[j][i]
-                    arrays.scratch_lanes[own + (features.scratch.changes + k) * lanes] = slopes[j][
+                    arrays.scratch_lanes[lane_at + (features.scratch.gradient + k) * lanes] = slopes[j][i]
+                    arrays.scratch_lanes[lane_at + (features.scratch.changes + k) * lanes] = slopes[j][
                         features.node.change + i
                     ]
     if not loose:

@@ -123,8 +123,8 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
     free = ti.static(2 * features.dimension)
     arrays.scratch[values + free], arrays.scratch[values + free + 1] = weight, closed
     for lane in range(particles_in(scene, block, arrays)):
-        own = no_overflow(scratch * lanes + lane) + features.scratch.values * lanes
-        volume = arrays.scratch_lanes[own + free * lanes]
+        values_at = no_overflow(scratch * lanes + lane) + features.scratch.values * lanes
+        volume = arrays.scratch_lanes[values_at + free * lanes]
         if volume > 0.0:
             at = cell_of(scratch, lane, table, deep, arrays)
             state = no_overflow(first * lanes + lane)
@@ -132,13 +132,15 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
             sums[Pore.VOLUME] += volume
             sums[Pore.STRAIN] += volume * arrays.lanes[state + features.state.volume_strain * lanes]
             sums[Pore.PRESSURE] += volume * arrays.lanes[state + features.state.pore_pressure * lanes]
-            bits = ti.cast(sums[Pore.CLOSED], ti.i32) | ti.cast(arrays.scratch_lanes[own + (free + 1) * lanes], ti.i32)
+            bits = ti.cast(sums[Pore.CLOSED], ti.i32) | ti.cast(
+                arrays.scratch_lanes[values_at + (free + 1) * lanes], ti.i32
+            )
             sums[Pore.CLOSED] = ti.cast(bits, float)
             at_stress = state + features.state.stress * lanes
             held = suction_held([arrays.lanes[at_stress + k * lanes] for k in ti.static(range(3))], True)
             sums[Pore.SUCTION] += volume * held
             for k in ti.static(range(features.dimension)):
-                sums[Pore.CENTRE_X + k] += volume * arrays.scratch_lanes[own + (features.dimension + k) * lanes]
+                sums[Pore.CENTRE_X + k] += volume * arrays.scratch_lanes[values_at + (features.dimension + k) * lanes]
             arrays.cells[2 * at] = sums
 
 
@@ -231,11 +233,11 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
     """The change of the pressure of a cell explicit in time, its slope, and what lies around it."""
     features, dx = arrays.features, arrays.settings[scene, Setting.CELL]
     sums, code = arrays.cells[2 * cell], 0
-    own, inflow, given = sums[Pore.PRESSURE], 0.0 * sums[Pore.PRESSURE], arrays.cells[2 * cell + 1]
+    pressure, inflow, given = sums[Pore.PRESSURE], 0.0 * sums[Pore.PRESSURE], arrays.cells[2 * cell + 1]
     pull = ti.Vector([arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0 * dx])
-    full = 1.0 + 0.0 * own
+    full = 1.0 + 0.0 * pressure
     for axis in ti.static(range(features.dimension)):
-        rise, run = 0.0 * own, 0.0 * own
+        rise, run = 0.0 * pressure, 0.0 * pressure
         for side in ti.static(range(2)):
             face = ti.static(2 * axis + side)
             away = ti.static(2 * side - 1)
@@ -244,13 +246,13 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
             if kind == Face.CELL:
                 other = arrays.cells[2 * neighbour(place, face, 1, table, scene, arrays)]
                 apart = ti.max(1.0 + away * (other[Pore.CENTRE_X + axis] - sums[Pore.CENTRE_X + axis]), 0.25)
-                weight = 0.0 * own
+                weight = 0.0 * pressure
                 for k in ti.static(range(features.dimension)):
                     part = other[Pore.CENTRE_X + k] - sums[Pore.CENTRE_X + k]
                     if ti.static(k == axis):
                         part += away
                     weight += DENSITY * dx * pull[k] * part
-                there, here = other[Pore.PRESSURE] + other[Pore.SUCTION], own + sums[Pore.SUCTION]
+                there, here = other[Pore.PRESSURE] + other[Pore.SUCTION], pressure + sums[Pore.SUCTION]
                 step = ti.max(there, 0.0) - ti.max(here, 0.0) - other[Pore.SUCTION] + sums[Pore.SUCTION]
                 flow = (step - weight) / apart
                 # Nothing flows out of pores that are not full.
@@ -259,13 +261,13 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
                 rise += away * step
                 run += apart
             elif kind == Face.SURFACE or kind == Face.DRAIN:
-                distance = 0.5 + 0.0 * own
+                distance = 0.5 + 0.0 * pressure
                 if kind == Face.SURFACE:
                     distance = below_surface(sums, face)
                     full *= ti.min(2.0 * distance, 1.0)
-                head = ti.max(own, 0.0 - sums[Pore.SUCTION])
+                head = ti.max(pressure, 0.0 - sums[Pore.SUCTION])
                 outflow = head / distance + DENSITY * dx * pull[axis] * away
-                if (outflow > 0.0 and own > 0.0) or (outflow < 0.0 and kind == Face.SURFACE):
+                if (outflow > 0.0 and pressure > 0.0) or (outflow < 0.0 and kind == Face.SURFACE):
                     inflow -= outflow
             elif kind == Face.TIGHT:
                 rise += arrays.settings[scene, Setting.SEEPAGE] * DENSITY * dx * pull[axis]
@@ -332,14 +334,14 @@ def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
     arrays.scratch[values + free] = volume_of(scene, block, arrays) * arrays.state[first + features.state.saturated]
     arrays.scratch[values + free + 1] = 0.0 * arrays.state[first]
     for lane in range(particles_in(scene, block, arrays)):
-        own = no_overflow(scratch * lanes + lane) + features.scratch.values * lanes
-        if arrays.scratch_lanes[own + free * lanes] > 0.0:
+        values_at = no_overflow(scratch * lanes + lane) + features.scratch.values * lanes
+        if arrays.scratch_lanes[values_at + free * lanes] > 0.0:
             at, state = cell_of(scratch, lane, table, deep, arrays), no_overflow(first * lanes + lane)
             means, given = arrays.cells[2 * at], arrays.cells[2 * at + 1]
             change, modulus = given[Pore.CHANGE - NODE], arrays.settings[scene, Setting.WATER_MODULUS]
             p = means[Pore.PRESSURE] + change
             for k in ti.static(range(features.dimension)):
-                apart = arrays.scratch_lanes[own + (features.dimension + k) * lanes] - means[Pore.CENTRE_X + k]
+                apart = arrays.scratch_lanes[values_at + (features.dimension + k) * lanes] - means[Pore.CENTRE_X + k]
                 p += given[Pore.SLOPE_X + k - NODE] * apart
             least = ti.static(-1.0 * features.dilates) * means[Pore.SUCTION]
             before = arrays.lanes[state + features.state.pore_pressure * lanes]
@@ -356,7 +358,7 @@ def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
                 arrays.lanes[state + features.state.foot_pressure * lanes] = ti.max(foot, least) - ti.max(p, least)
             strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
             strain -= (mixed + removed) / modulus
-            arrays.scratch_lanes[own + (free + 1) * lanes] = strain
+            arrays.scratch_lanes[values_at + (free + 1) * lanes] = strain
             arrays.lanes[state + features.state.volume_strain * lanes] = DAMPING * given[Pore.CHANGE - NODE]
     share_strain(scene, block, arrays.scratch[values + free + 1], arrays)
 

@@ -59,14 +59,14 @@ class Bed:
 
     def weights(self, nodes: Floats, posts: Floats) -> Any:
         """Of the posts at the nodes along one axis, linear between them."""
-        found = sparse.csr_array((len(nodes), len(posts)))
+        matrix = sparse.csr_array((len(nodes), len(posts)))
         offsets = sample_offsets(self.spacing, posts)
         for offset in offsets:
             index, part = linear(posts, nodes + offset)
             row = np.arange(len(nodes))
             both = np.concatenate([1.0 - part, part]) / len(offsets), (np.tile(row, 2), np.append(index, index + 1))
-            found = found + sparse.csr_array(both, found.shape)
-        return found.tocsr()
+            matrix = matrix + sparse.csr_array(both, matrix.shape)
+        return matrix.tocsr()
 
     def contact(self, points: Floats, frictions: Floats) -> tuple[Floats, Floats, Floats]:
         """d [m], n and the friction [-] at points [m], shape [N, 3], as the kernel finds them; [N], [N, 3], [N].
@@ -77,7 +77,9 @@ class Bed:
         k, wz, sz = spline(points[:, 2], self.z, self.spacing)
         around = i[:, None, None] + np.arange(3)[:, None], k[:, None, None] + np.arange(3)
         rise = self.heights[around] - points[:, 1, None, None]
-        height, along, across = (np.einsum("nij,ni,nj->n", rise, *each) for each in ((wx, wz), (sx, wz), (wx, sz)))
+        height, along, across = (
+            np.einsum("nij,ni,nj->n", rise, *factors) for factors in ((wx, wz), (sx, wz), (wx, sz))
+        )
         length = np.sqrt(1.0 + along**2 + across**2)
         normal = np.stack([-along, np.ones_like(along), -across], axis=1) / length[:, None]
         friction = np.full(len(points), float(frictions.flat[0]))
@@ -87,12 +89,12 @@ class Bed:
 
     def column_heights(self) -> Floats:
         """H [m] at the columns of nodes of the grid, in a row."""
-        found = self.heights
+        heights = self.heights
         for _ in range(2):
-            count = (len(found) - 3) // BED_PER_CELL + 1
-            rows = [found[first::BED_PER_CELL][:count] for first in range(3)]
-            found = (0.125 * rows[0] + 0.75 * rows[1] + 0.125 * rows[2]).T
-        return found.ravel()
+            count = (len(heights) - 3) // BED_PER_CELL + 1
+            rows = [heights[first::BED_PER_CELL][:count] for first in range(3)]
+            heights = (0.125 * rows[0] + 0.75 * rows[1] + 0.125 * rows[2]).T
+        return heights.ravel()
 
 
 def sample_offsets(spacing: float, posts: Floats) -> Floats:
@@ -149,20 +151,20 @@ def bed_arrays(
     mosts: the largest Coulomb coefficient in each scene [-]; faces: how many are listed. Scenes of one bed share its
     numbers.
     """
-    numbers, columns, known = [np.zeros(1, real)], [np.zeros(1, real)], dict[tuple[Bed, float], tuple[int, int]]()
+    numbers, columns, places = [np.zeros(1, real)], [np.zeros(1, real)], dict[tuple[Bed, float], tuple[int, int]]()
     offsets[:, Offset.TERRAIN_FACE] = faces
     for offset, bed, most in zip(offsets, beds, mosts, strict=False):
         if bed is None:
             continue
         varied = bed.field.friction.size > 1
-        if (bed, most) not in known:
-            known[bed, most] = sum(map(len, numbers)), sum(map(len, columns))
+        if (bed, most) not in places:
+            places[bed, most] = sum(map(len, numbers)), sum(map(len, columns))
             header, frictions = np.zeros(len(TerrainNumber)), frictions_of(bed, most)
             header[TerrainNumber.NEARNESS] = 1.0 / math.hypot(1.0, bed.field.steepest)
             header[TerrainNumber.FRICTION] = frictions.flat[0]
             parts = [header, bed.heights, *([frictions] if varied else [])]
             numbers += [part.ravel().astype(real) for part in parts]
             columns.append(bed.column_heights().astype(real))
-        offset[Offset.TERRAIN], offset[Offset.COLUMNS] = known[bed, most]
+        offset[Offset.TERRAIN], offset[Offset.COLUMNS] = places[bed, most]
         offset[Offset.TERRAIN_SOLID], offset[Offset.TERRAIN_FRICTION] = bed.field.solid, varied
     return np.concatenate(numbers), np.concatenate(columns)

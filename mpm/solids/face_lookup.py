@@ -124,7 +124,7 @@ def first_crossed(start, end, entry, cell, arrays: ti.template()):
     """The first face through which the segment from `start` to `end` [m] enters a solid, -1 where it enters none, its
     first corner and its normal. entry: of the cell of its start.
     """
-    nearest, found, corner, facing = 0.0 * cell + 2.0, -1, 0.0 * start, 0.0 * start
+    nearest, crossed, corner, facing = 0.0 * cell + 2.0, -1, 0.0 * start, 0.0 * start
     first, listed = list_of(entry, arrays)
     for number in range(listed):
         face = arrays.near_faces[first + number]
@@ -132,20 +132,20 @@ def first_crossed(start, end, entry, cell, arrays: ti.template()):
         normal = normal_of(face, arrays)
         part = crossed_part(start, end, a, b, c, normal, cell, arrays)
         if part < nearest:
-            nearest, found, corner, facing = part, face, a, normal
-    return found, corner, facing
+            nearest, crossed, corner, facing = part, face, a, normal
+    return crossed, corner, facing
 
 
 @ti.func
 def crossed_part(start, end, a, b, c, normal, cell, arrays: ti.template()):
     """The part of the segment from `start` to `end` [m] before it enters a solid through a face; 2: it does not."""
-    found = 0.0 * cell + 2.0
+    crossing = 0.0 * cell + 2.0
     before, after = (start - a).dot(normal), (end - a).dot(normal)
     if after < 0.0 - SKIN * cell and before >= 0.0 - 2.0 * SKIN * cell and after < before:
         part = ti.max(before, 0.0) / (before - after)
         if covers_point(a, b, c, normal, start + part * (end - start), arrays):
-            found = part
-    return found
+            crossing = part
+    return crossing
 
 
 @ti.func

@@ -88,7 +88,7 @@ def window_around(domain: Domain, surface: Surface, cutoff: float) -> Window:
     corners = surface.corners.reshape(1, -1, domain.dimension)
     # Of the centre of a cell that lists a face; a step moves a particle by at most a cell.
     limit = (max(cutoff, 1.0) + 0.5 * math.sqrt(domain.dimension)) * domain.cell
-    low, high = (each[0] for each in boxes_around(domain, corners, limit))
+    low, high = (bounds[0] for bounds in boxes_around(domain, corners, limit))
     shape = np.array(node_shape(domain))
     low = np.clip(low, 0, shape - 1)
     high = np.clip(high, low + 1, shape)
@@ -152,7 +152,7 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
         starts = {"cell_faces": part.cell_faces + near, "node_holds": part.node_holds + hold}
         numbers = {"near_faces": part.near_faces + face, "holds": part.holds + np.array([face, 0.0, 0.0])}
         shifted.append(vars(part) | starts | numbers)
-    together: dict[str, Any] = {name: np.concatenate([each[name] for each in shifted]) for name in TABLES}
+    together: dict[str, Any] = {name: np.concatenate([tables[name] for tables in shifted]) for name in TABLES}
     for name in ("windows", "beds", "frictions"):
         together[name] = tuple(value for part in parts for value in getattr(part, name))
     return Obstacles(**together), firsts[:, :3]
@@ -205,7 +205,7 @@ def face_lines(surface: Surface) -> Floats:
     """`Obstacles.faces` of a surface."""
     normals = surface.normals, surface.corner_normals, surface.edge_normals
     described: tuple[Array, ...] = (surface.corners, *normals, surface.friction, surface.solid)
-    return np.concatenate([each.reshape(len(each), math.prod(each.shape[1:])) for each in described], axis=1)
+    return np.concatenate([array.reshape(len(array), math.prod(array.shape[1:])) for array in described], axis=1)
 
 
 @lru_cache(maxsize=4)
@@ -283,8 +283,8 @@ def holds_of(window: Window, surface: Surface, nodes: Integers, *, cutoff: float
     deep = (depth > 0.0) & (depth <= cutoff * cell)
     nodes, depth = nodes[deep], depth[deep]
     places = window.positions(nodes)
-    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64)), *Search(surface).pairs(places, depth + BLEND * cell)]
-    node, face = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    pairs = [(np.zeros(0, np.int64), np.zeros(0, np.int64)), *Search(surface).pairs(places, depth + BLEND * cell)]
+    node, face = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
     order = np.lexsort((face, node))
     node, face = node[order], face[order]
     foot, distance, corner_weights = feet(surface.corners[face], places[node])
@@ -310,7 +310,7 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
     if not len(surface.corners):
         return np.zeros(window.count + 1, np.int32), np.zeros(0, np.int32)
     limit = max(cutoff, 1.0) * cell + half
-    low, high = (each - np.array(window.low) for each in boxes_around(window, surface.corners, limit))
+    low, high = (bounds - np.array(window.low) for bounds in boxes_around(window, surface.corners, limit))
     around = np.zeros(window.shape, bool)
     for first, last in zip(np.maximum(low, 0), np.clip(high, 0, window.shape), strict=True):
         around[tuple(map(slice, first, last))] = True
@@ -338,27 +338,27 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
 def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Contact of particles at `positions` [m], shape [N, D], as the kernel finds it: what `Contact` lists, [N, ...]."""
     count, dimension = positions.shape
-    found = np.zeros((count, len(Contact) - 1 + 2 * dimension))
-    found[:, Contact.DISTANCE] = np.inf
+    contacts = np.zeros((count, len(Contact) - 1 + 2 * dimension))
+    contacts[:, Contact.DISTANCE] = np.inf
     solid = contact_surface_of(scene)
     if solid is None:
-        return found
+        return contacts
     width = CONTACT_WIDTH * scene.domain.cell
     cutoff, most = search_distance(scene) + scene.domain.cell, roughest(scene)
     surface, normals = solid.faces, slice(Contact.NORMAL, Contact.NORMAL + dimension)
     distance = np.full(count, np.inf)
     if len(surface.corners):
         near = nearest(surface, positions, cutoff)
-        distance, found[:, Contact.FACE], found[:, normals] = near.distance, near.face, near.normal
+        distance, contacts[:, Contact.FACE], contacts[:, normals] = near.distance, near.face, near.normal
         _, _, weights = feet(surface.corners[near.face], positions)
-        found[:, Contact.FRICTION] = (weights * np.minimum(surface.friction, most)[near.face]).sum(axis=1)
+        contacts[:, Contact.FRICTION] = (weights * np.minimum(surface.friction, most)[near.face]).sum(axis=1)
     if solid.field is not None:
         bed = bed_of(solid.field, scene.domain)
         d, normal, friction = bed.contact(positions, frictions_of(bed, most))
         nearer = d < distance
-        distance, found[nearer, Contact.FACE] = np.minimum(d, distance), len(surface.corners)
-        found[nearer, Contact.FRICTION], found[nearer, normals] = friction[nearer], normal[nearer]
+        distance, contacts[nearer, Contact.FACE] = np.minimum(d, distance), len(surface.corners)
+        contacts[nearer, Contact.FRICTION], contacts[nearer, normals] = friction[nearer], normal[nearer]
     q = np.clip(distance / width, 0.0, 1.0)
-    found[:, Contact.DELTA] = 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
-    found[:, Contact.DISTANCE] = np.clip(distance, 0.0, cutoff)
-    return found
+    contacts[:, Contact.DELTA] = 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
+    contacts[:, Contact.DISTANCE] = np.clip(distance, 0.0, cutoff)
+    return contacts

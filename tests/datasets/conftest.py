@@ -69,8 +69,8 @@ def toy_dataset(folder: Path, dimension: int) -> Path:
         trajectory.save(folder / split.value / f"toy-{seed:04d}.npz")
         entries.append(Entry(split=split, name=f"toy-{seed:04d}", scene=trajectory.scene))
         if split is Split.TRAIN:
-            each = motion_statistics(trajectory.positions, trajectory.scene.frame_dt)
-            statistics = each if statistics is None else statistics + each
+            motion = motion_statistics(trajectory.positions, trajectory.scene.frame_dt)
+            statistics = motion if statistics is None else statistics + motion
     described = metadata("toy", entries, seed=0, statistics=statistics)
     write_json(folder / "metadata.json", described)
     return folder

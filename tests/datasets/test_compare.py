@@ -27,15 +27,15 @@ def shifted(flow: Trajectory, by: float) -> Trajectory:
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_shift_is_found_in_every_figure_and_energies_are_those_of_the_particles(dimension: int) -> None:
     flow = toy(dimension)
-    found = compare(flow, shifted(flow, APART))
-    one, other = found.figures
+    comparison = compare(flow, shifted(flow, APART))
+    one, other = comparison.figures
     moved = [other[key][-1] - one[key][-1] for key in ("front", "runout", "toe")]
     assert moved == pytest.approx([APART] * 3, abs=1e-6)
-    assert found.apart["transport"][-1] == pytest.approx(APART, rel=1e-5)
-    assert found.apart["positions"].tolist() == pytest.approx([0.0] + [APART] * len(flow.time), rel=1e-5)
-    assert found.apart["thickness"][-1] > 0.0
-    assert found.apart["thickness"][0] == 0.0
-    assert 0.2 < found.apart["overlap"][-1] < found.apart["overlap"][0] == 1.0
+    assert comparison.apart["transport"][-1] == pytest.approx(APART, rel=1e-5)
+    assert comparison.apart["positions"].tolist() == pytest.approx([0.0] + [APART] * len(flow.time), rel=1e-5)
+    assert comparison.apart["thickness"][-1] > 0.0
+    assert comparison.apart["thickness"][0] == 0.0
+    assert 0.2 < comparison.apart["overlap"][-1] < comparison.apart["overlap"][0] == 1.0
     assert one["height"] == pytest.approx(other["height"], rel=1e-6)
     # The block begins at 1 m/s, its centre 0.04 m above the floor.
     mass, centre = flow.scene.material.density * flow.volumes.sum(), np.average(flow.positions[0, :, 1])
@@ -47,36 +47,36 @@ def test_a_shift_is_found_in_every_figure_and_energies_are_those_of_the_particle
 def test_heights_are_those_of_the_sand(dimension: int) -> None:
     flow = toy(dimension)
     flat = dataclasses.replace(flow, positions=flow.positions * np.array([1.0, 0.0, 1.0][:dimension], np.float32))
-    found = compare(flow, flat)
+    comparison = compare(flow, flat)
     half = 0.5 * float(np.mean(flow.volumes)) ** (1.0 / dimension)
-    assert found.heights[0].max() == pytest.approx(0.08, rel=0.1)
-    assert found.heights[1].max() == pytest.approx(half, rel=0.1)
-    assert found.figures[0]["height"] == pytest.approx(0.04, rel=0.02)
-    assert found.figures[1]["height"] == pytest.approx(0.0, abs=1e-12)
-    assert found.apart["thickness"][-1] == pytest.approx(0.08 - half, rel=0.1)
-    assert found.apart["transport"][-1] == 0.0
+    assert comparison.heights[0].max() == pytest.approx(0.08, rel=0.1)
+    assert comparison.heights[1].max() == pytest.approx(half, rel=0.1)
+    assert comparison.figures[0]["height"] == pytest.approx(0.04, rel=0.02)
+    assert comparison.figures[1]["height"] == pytest.approx(0.0, abs=1e-12)
+    assert comparison.apart["thickness"][-1] == pytest.approx(0.08 - half, rel=0.1)
+    assert comparison.apart["transport"][-1] == 0.0
 
 
 def test_flows_that_have_no_time_in_common_are_compared_where_they_end() -> None:
     flow = toy(2)
     late = dataclasses.replace(flow, positions=flow.positions[-1:], time=flow.time[-1:])
-    found = compare(late, dataclasses.replace(flow, positions=flow.positions[:2], time=flow.time[:2]))
-    assert found.ends == (flow.time[-1], flow.time[1])
-    assert found.apart["transport"][-1] == pytest.approx(flow.time[-1] - flow.time[1], rel=1e-2)
-    assert found.time.tolist() == [flow.time[-1]]
+    comparison = compare(late, dataclasses.replace(flow, positions=flow.positions[:2], time=flow.time[:2]))
+    assert comparison.ends == (flow.time[-1], flow.time[1])
+    assert comparison.apart["transport"][-1] == pytest.approx(flow.time[-1] - flow.time[1], rel=1e-2)
+    assert comparison.time.tolist() == [flow.time[-1]]
 
 
 def test_the_command(tmp_path: Path) -> None:
     flow = toy(2)
-    for name, each in {"one": flow, "other": shifted(flow, APART)}.items():
-        each.save(tmp_path / name / "trajectory.npz")
+    for name, trajectory in {"one": flow, "other": shifted(flow, APART)}.items():
+        trajectory.save(tmp_path / name / "trajectory.npz")
     out = tmp_path / "out"
     arguments = [str(tmp_path / "one"), str(tmp_path / "other"), "--out", str(out)]
     assert run(command, "compare", arguments) == 0
-    found = json.loads((out / "comparison.json").read_text())
-    assert found["runs"] == ["one", "other"]
-    assert found["end"]["difference"]["transport"] == pytest.approx(APART, rel=1e-5)
-    assert len(found["series"]["a"]["front"]) == len(found["time"]) == len(flow.time)
+    comparison = json.loads((out / "comparison.json").read_text())
+    assert comparison["runs"] == ["one", "other"]
+    assert comparison["end"]["difference"]["transport"] == pytest.approx(APART, rel=1e-5)
+    assert len(comparison["series"]["a"]["front"]) == len(comparison["time"]) == len(flow.time)
     assert (out / "comparison.png").stat().st_size > 10_000
 
 
@@ -107,9 +107,9 @@ def test_a_thinned_flow_has_the_particles_of_the_whole_one() -> None:
         volume=(ratio * flow.volumes[chosen]).astype(np.float32),
         mass=np.zeros(len(chosen), np.int32),
     )
-    found = pairs(FlowFields(flow), FlowFields(thin))
-    np.testing.assert_array_equal(found[0], chosen)
-    np.testing.assert_array_equal(found[1], np.arange(len(chosen)))
+    matched = pairs(FlowFields(flow), FlowFields(thin))
+    np.testing.assert_array_equal(matched[0], chosen)
+    np.testing.assert_array_equal(matched[1], np.arange(len(chosen)))
     assert compare(flow, thin).apart["positions"][-1] == 0.0
     elsewhere = dataclasses.replace(thin, positions=thin.positions + np.float32(0.05))
     assert pairs(FlowFields(flow), FlowFields(elsewhere)) is None

@@ -148,8 +148,8 @@ def test_the_files_of_a_flow(tmp_path: Path) -> None:
     assert rows.max() < 4
     assert (columns.min(), columns.max()) == pytest.approx((10, 13), abs=1)
     outlines = json.loads((tmp_path / "outline.geojson").read_text())["features"]
-    found = [tuple(feature["properties"].values())[:2] for feature in outlines]
-    assert found == [(name, level) for name in ("deposit", "covered", "release") for level in (0.02, 0.06)]
+    contours = [tuple(feature["properties"].values())[:2] for feature in outlines]
+    assert contours == [(name, level) for name in ("deposit", "covered", "release") for level in (0.02, 0.06)]
 
 
 def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path) -> None:

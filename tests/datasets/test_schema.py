@@ -40,9 +40,9 @@ def test_a_value_out_of_bounds_is_named_alike(values: dict[str, Any], expected: 
     with pytest.raises(InputError) as caught:
         Limited(**values)
     assert str(caught.value) == expected
-    with pytest.raises(OutOfRange) as found:
+    with pytest.raises(OutOfRange) as refusal:
         from_mapping(Holder, {"parts": [{}, values]})
-    assert str(found.value) == f"parts[1].{expected}"
+    assert str(refusal.value) == f"parts[1].{expected}"
 
 
 @pytest.mark.parametrize("values", [{}, {"share": 1.0}, {"sizes": (1, 2.0)}, {"friction": "rough"}, {"friction": 0}])

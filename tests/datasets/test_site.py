@@ -47,27 +47,27 @@ def made(folder: Path, *flags: str, hole: bool = False, shape: shapely.Geometry 
 
 def test_a_site_is_a_scene_on_the_map(tmp_path: Path) -> None:
     """The attribute's 1.5 m normal to the bed, in a box that the energy line says, in cells of half of that or more."""
-    found = made(tmp_path, "--friction", "0.4", "--internal-friction", "35")
-    assert mass_volumes(found)[0] == pytest.approx(1.5 / math.cos(SLOPE) * 1600.0, rel=1e-3)
-    domain = found.domain
+    scene = made(tmp_path, "--friction", "0.4", "--internal-friction", "35")
+    assert mass_volumes(scene)[0] == pytest.approx(1.5 / math.cos(SLOPE) * 1600.0, rel=1e-3)
+    domain = scene.domain
     assert domain.crs == "EPSG:2056"
-    start = initial_particles(found).positions + domain.corner
+    start = initial_particles(scene).positions + domain.corner
     assert start[:, 0].min() == pytest.approx(EAST + 30.0, abs=1.0)
     assert start[:, 2].max() == pytest.approx(NORTH + 120.0, abs=1.0)
     # Ground below 0.3 of the distance: 260 m of drop reach the end of the raster.
     assert domain.origin[0] + domain.size[0] > EAST + 480.0
     assert domain.origin[1] < UP
-    assert found.material.friction_deg == 35.0
-    assert (found.solids[0].friction, found.solids[0].name) == (0.4, "terrain")
+    assert scene.material.friction_deg == 35.0
+    assert (scene.solids[0].friction, scene.solids[0].name) == (0.4, "terrain")
 
 
 def test_what_the_flags_say(tmp_path: Path) -> None:
-    found = made(tmp_path, "--thickness", "2", "--vertical", "--cell", "4", "--friction", "0.7", "--turbulence", "2000")
-    assert found.solids[0].turbulence == 2000.0
-    assert found.domain.cell == 4.0
-    assert mass_volumes(found)[0] == pytest.approx(2.0 * 1600.0, rel=1e-6)
+    scene = made(tmp_path, "--thickness", "2", "--vertical", "--cell", "4", "--friction", "0.7", "--turbulence", "2000")
+    assert scene.solids[0].turbulence == 2000.0
+    assert scene.domain.cell == 4.0
+    assert mass_volumes(scene)[0] == pytest.approx(2.0 * 1600.0, rel=1e-6)
     # A steep energy line ends on the slope: the level is not in the box.
-    assert found.domain.origin[0] + found.domain.size[0] < EAST + 450.0
+    assert scene.domain.origin[0] + scene.domain.size[0] < EAST + 450.0
 
 
 def test_turbulence_on_a_slope_steeper_than_the_internal_friction_is_said(tmp_path: Path) -> None:
@@ -78,8 +78,8 @@ def test_turbulence_on_a_slope_steeper_than_the_internal_friction_is_said(tmp_pa
 def test_several_polygons_and_holes_of_the_raster(tmp_path: Path) -> None:
     """A corner without data is filled in a raster of its own, which the scene names."""
     pair = shapely.MultiPolygon([FIELD, shapely.box(EAST + 90.0, NORTH + 90.0, EAST + 110.0, NORTH + 110.0)])
-    found = made(tmp_path, "--cell", "2", hole=True, shape=pair)
-    assert mass_volumes(found) * math.cos(SLOPE) / 1.5 == pytest.approx([1600.0, 400.0], rel=1e-3)
+    scene = made(tmp_path, "--cell", "2", hole=True, shape=pair)
+    assert mass_volumes(scene) * math.cos(SLOPE) / 1.5 == pytest.approx([1600.0, 400.0], rel=1e-3)
     assert (tmp_path / "new" / "site.dem.tif").is_file()
 
 
@@ -89,13 +89,13 @@ def test_a_thickness_by_raster(tmp_path: Path) -> None:
     rows[:10] = -9999.0  # the north
     place = Affine(10.0, 0.0, EAST, 0.0, -10.0, NORTH + 200.0)
     write_raster(tmp_path / "depth.tif", rows, "EPSG:2056", transform=place)
-    found = made(tmp_path, "--cell", "2", "--thickness", str(tmp_path / "depth.tif"))
+    scene = made(tmp_path, "--cell", "2", "--thickness", str(tmp_path / "depth.tif"))
     # 20 x 20 m of each.
-    assert mass_volumes(found)[0] * math.cos(SLOPE) == pytest.approx(400.0 * 3.0, rel=1e-3)
-    start = initial_particles(found).positions + found.domain.corner
+    assert mass_volumes(scene)[0] * math.cos(SLOPE) == pytest.approx(400.0 * 3.0, rel=1e-3)
+    start = initial_particles(scene).positions + scene.domain.corner
     assert start[:, 2].max() < NORTH + 106.0
     upright = made(tmp_path, "--cell", "2", "--vertical", "--thickness", str(tmp_path / "depth.tif"))
-    assert mass_volumes(upright)[0] == pytest.approx(mass_volumes(found)[0] * math.cos(SLOPE), rel=1e-3)
+    assert mass_volumes(upright)[0] == pytest.approx(mass_volumes(scene)[0] * math.cos(SLOPE), rel=1e-3)
 
 
 @pytest.mark.parametrize("west", [41, 43])
@@ -113,7 +113,7 @@ def test_ground_that_two_polygons_share_counts_once(tmp_path: Path) -> None:
     folder = tmp_path / "release.gpkg"
     shapes = [FIELD, shapely.affinity.translate(FIELD, 20.0)]
     values = [np.array([3.0, 1.5])]
-    geometry = np.array([shapely.to_wkb(each) for each in shapes])
+    geometry = np.array([shapely.to_wkb(shape) for shape in shapes])
     pyogrio.raw.write(folder, geometry, values, ["thickness"], geometry_type="Polygon", crs="EPSG:2056")
     with pytest.warns(UserWarning, match=r"polygons of the release share 800 m\^2, which count once"):
         table = site(read_raster(dem(tmp_path)), read_polygons(folder, "EPSG:2056"), **BED)
@@ -128,20 +128,20 @@ def test_a_bed_by_rasters(tmp_path: Path) -> None:
     write_raster(tmp_path / "mu.tif", rows, "EPSG:2056", **place)
     write_raster(tmp_path / "xi.asc", np.where(rows < 0.75, 400.0, 1500.0), None, **place)
     flags = [("--friction", tmp_path / "mu.tif"), ("--turbulence", tmp_path / "xi.asc"), ("--cell", 4)]
-    found = made(tmp_path, *(str(each) for pair in flags for each in pair))
-    (bed,), written_as = found.solids, (tmp_path / "new" / "site.toml").read_text()
+    scene = made(tmp_path, *(str(part) for pair in flags for part in pair))
+    (bed,), written_as = scene.solids, (tmp_path / "new" / "site.toml").read_text()
     assert 'friction = "../mu.tif"' in written_as
     assert (np.min(bed.friction), np.max(bed.turbulence)) == pytest.approx((0.7, 1500.0), rel=0.02)
-    assert found.domain.origin[0] + found.domain.size[0] < EAST + 450.0
+    assert scene.domain.origin[0] + scene.domain.size[0] < EAST + 450.0
 
 
 def test_no_layer_lies_in_the_holes_of_a_release(tmp_path: Path) -> None:
     """Two of them, side by side."""
     holes = [shapely.box(EAST + x, NORTH + 90.0, EAST + x + 10.0, NORTH + 110.0) for x in (35.0, 55.0)]
     ring = shapely.Polygon(FIELD.exterior.coords, [hole.exterior.coords for hole in holes])
-    found = made(tmp_path, "--cell", "2", shape=ring)
-    assert mass_volumes(found).sum() == pytest.approx(1.5 / math.cos(SLOPE) * 1200.0, rel=1e-3)
-    plan = shapely.points((initial_particles(found).positions + found.domain.corner)[:, ::2])
+    scene = made(tmp_path, "--cell", "2", shape=ring)
+    assert mass_volumes(scene).sum() == pytest.approx(1.5 / math.cos(SLOPE) * 1200.0, rel=1e-3)
+    plan = shapely.points((initial_particles(scene).positions + scene.domain.corner)[:, ::2])
     assert not any(shapely.contains(hole, plan).any() for hole in holes)
 
 

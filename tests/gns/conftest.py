@@ -73,9 +73,9 @@ def cloud(settings: ModelSettings) -> Cloud:
         velocities = torch.tensor(velocity).expand_as(positions)
         state = State.observed(positions[None], velocities, step=settings.step, history=settings.history)
         numbers = {"friction": 0.5, "cohesion": 100.0, "volume": settings.particle_volume}
-        each = {name: torch.full((len(positions),), value) for name, value in numbers.items()}
+        per_particle = {name: torch.full((len(positions),), value) for name, value in numbers.items()}
         scene = scene_of(floor_friction=0.4, wall_friction=0.2, damping=0.1)
-        return state, conditions_of(scene, settings.cell, **each, units=Units())
+        return state, conditions_of(scene, settings.cell, **per_particle, units=Units())
 
     return build
 

@@ -42,16 +42,16 @@ def conditions(
     ground: Ground | None = None,
 ) -> Conditions:
     """Those of `count` particles in the room of the samples of the baffles, or of the ground, or of one."""
-    samples = next((len(each) for each in (baffles, ground.elevation if ground else None) if each is not None), 1)
+    samples = next((len(tensor) for tensor in (baffles, ground.elevation if ground else None) if tensor is not None), 1)
     dtype, friction = torch.float64, None
     if baffles is not None:
         dtype, dimension = baffles.dtype, baffles.shape[3]
         friction = torch.linspace(0.2, 0.7, baffles.shape[1], dtype=dtype).expand(samples, -1)
-    own, of_samples = torch.ones(count, dtype=dtype), torch.ones(samples, dtype=dtype)
+    of_particles, of_samples = torch.ones(count, dtype=dtype), torch.ones(samples, dtype=dtype)
     return Conditions(
-        friction=own,
-        cohesion=own,
-        volume=own,
+        friction=of_particles,
+        cohesion=of_particles,
+        volume=of_particles,
         size=torch.tensor(ROOM[dimension], dtype=dtype).expand(samples, -1),
         gravity=torch.zeros(samples, dimension, dtype=dtype),
         floor_friction=of_samples,
@@ -69,7 +69,7 @@ def plane(dimension: int, rise: tuple[float, ...] = (0.3, -0.2)) -> Ground:
     """Ground that rises by so much along x (and z), 0.1 m high in the corner of the room."""
     spacing, plan = 0.05, ROOM[dimension][::2]
     grids = torch.meshgrid(
-        *(spacing * torch.arange(round(each / spacing) + 2).double() for each in plan), indexing="ij"
+        *(spacing * torch.arange(round(length / spacing) + 2).double() for length in plan), indexing="ij"
     )
     elevation = 0.1 + sum(slope * grid for slope, grid in zip(rise, grids, strict=False))
     friction = 0.4 + 0.1 * grids[0]

@@ -34,31 +34,35 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("card") / "own.safetensors"
     torch.manual_seed(0)
     simulator = Simulator(SCALED, NORMALISATION)
-    scenes = [each.scene for each in read_definition("flow2d").entries(seed=0, count=200)]
+    scenes = [entry.scene for entry in read_definition("flow2d").entries(seed=0, count=200)]
     card.write(path, card.describe(simulator, PROVENANCE, {"flow2d": scenes}))
     checkpoint.save(path, simulator, PROVENANCE)
     return path
 
 
 def test_a_card_says_what_the_model_is(model: Path) -> None:
-    found = card.read(model)
+    model_card = card.read(model)
     simulator = checkpoint.load(model).simulator
     first = simulator.network.encoder.mlp[0]
-    assert sum(found.features.values()) == first.in_features
-    assert found.settings == SCALED
-    assert found.normalisation["friction_mean"] == pytest.approx(NORMALISATION.friction_mean)
-    assert found.datasets["flow2d"].scenes == 200
-    assert found.datasets["flow2d"].cells_across[1] == pytest.approx(56.6, abs=0.1)
-    assert (found.training.command, found.training.seed, found.training.updates) == (PROVENANCE["command"], 4, 3000)
-    assert (found.scores, found.calibration(COLUMN)) == ("", None)
+    assert sum(model_card.features.values()) == first.in_features
+    assert model_card.settings == SCALED
+    assert model_card.normalisation["friction_mean"] == pytest.approx(NORMALISATION.friction_mean)
+    assert model_card.datasets["flow2d"].scenes == 200
+    assert model_card.datasets["flow2d"].cells_across[1] == pytest.approx(56.6, abs=0.1)
+    assert (model_card.training.command, model_card.training.seed, model_card.training.updates) == (
+        PROVENANCE["command"],
+        4,
+        3000,
+    )
+    assert (model_card.scores, model_card.calibration(COLUMN)) == ("", None)
     # The ranges are those of the training scenes.
-    assert set(found.ranges) < set(quantities(COLUMN))
-    assert found.ranges["tension_cutoff"] == (0.5, 0.5)
-    assert found.ranges["damping"][0] == 0.0
-    assert found.ranges["baffles"] == (0.0, 3.0)
+    assert set(model_card.ranges) < set(quantities(COLUMN))
+    assert model_card.ranges["tension_cutoff"] == (0.5, 0.5)
+    assert model_card.ranges["damping"][0] == 0.0
+    assert model_card.ranges["baffles"] == (0.0, 3.0)
     # rho g l of 1800 kg/m^3 and 0.08 m^2; terrain holds some smaller bodies.
-    assert found.ranges["young"][0] == pytest.approx(1.0e6 / (1800.0 * 9.81 * 0.08**0.5))
-    assert all(low <= high for low, high in found.ranges.values())
+    assert model_card.ranges["young"][0] == pytest.approx(1.0e6 / (1800.0 * 9.81 * 0.08**0.5))
+    assert all(low <= high for low, high in model_card.ranges.values())
 
 
 COLUMN = read_scene("column-tall-42")
@@ -123,8 +127,8 @@ def test_a_scene_outside_is_warned_of_in_a_line_that_names_the_quantity(name: st
     assert said.startswith("own.safetensors is outside of its training range: ")
     assert "\n" not in said
     reasons = said.split("range: ", 1)[1].split("; ")
-    found = next(reason for reason in reasons if reason.startswith(f"{name} "))
-    assert re.search(r"\(none in the training data\)$|\(trained: .*, \S+ (above|below)\)$", found)
+    cause = next(reason for reason in reasons if reason.startswith(f"{name} "))
+    assert re.search(r"\(none in the training data\)$|\(trained: .*, \S+ (above|below)\)$", cause)
 
 
 def test_a_quantity_outside_is_named_with_its_range_and_by_how_much(model: Path) -> None:
@@ -149,28 +153,31 @@ def test_the_band_is_that_of_the_narrowest_dataset_that_holds_the_scene(model: P
     bands = {
         name: Calibration(front={"0.95": q}, profile={"0.95": q}, flows=20) for name, q in (("a", 0.2), ("b", 0.1))
     }
-    found = dataclasses.replace(card.read(model), datasets={"a": wide, "b": narrow}).keeping(bands)
-    assert found.calibration(sand(friction_deg=42.0)) == bands["b"]
-    assert found.calibration(sand(friction_deg=30.0)) == bands["a"]
+    model_card = dataclasses.replace(card.read(model), datasets={"a": wide, "b": narrow}).keeping(bands)
+    assert model_card.calibration(sand(friction_deg=42.0)) == bands["b"]
+    assert model_card.calibration(sand(friction_deg=30.0)) == bands["a"]
     # Outside of all the widest: the warning is another matter.
-    assert found.calibration(sand(friction_deg=70.0)) == bands["a"]
-    assert found.ranges["friction_deg"] == (min(wide.ranges["friction_deg"][0], 40.0), wide.ranges["friction_deg"][1])
+    assert model_card.calibration(sand(friction_deg=70.0)) == bands["a"]
+    assert model_card.ranges["friction_deg"] == (
+        min(wide.ranges["friction_deg"][0], 40.0),
+        wide.ranges["friction_deg"][1],
+    )
 
 
 def test_a_model_without_a_card_says_so(tmp_path: Path) -> None:
-    own = tmp_path / "new.safetensors"
-    assert "has no card" in (card.warning(own, COLUMN) or "")
+    path = tmp_path / "new.safetensors"
+    assert "has no card" in (card.warning(path, COLUMN) or "")
     for text in ('{"ranges": 3}', "3", "{"):
-        card.card_path(own).write_text(text)
-        refused(card.read, own, said="new.json")
+        card.card_path(path).write_text(text)
+        refused(card.read, path, said="new.json")
 
 
 @pytest.mark.parametrize("weights", models(), ids=lambda path: path.stem)
 def test_every_model_that_ships_has_a_card(weights: Path) -> None:
-    found = card.read(weights)
-    assert set(found.ranges) <= set(quantities(COLUMN))
-    assert found.training.updates
-    assert all(each.calibration is not None for each in found.datasets.values())
+    model_card = card.read(weights)
+    assert set(model_card.ranges) <= set(quantities(COLUMN))
+    assert model_card.training.updates
+    assert all(data.calibration is not None for data in model_card.datasets.values())
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -178,7 +185,7 @@ def test_scenes_of_a_definition_are_within_the_shipped_card(name: str) -> None:
     """Its distributions are those of the flows that the weights saw; a rare one reaches farther than all of these."""
     learned = "flow2d" if name.endswith("2d") else "terrain3d" if name == "terrain3d" else "obstacle3d"
     ranges = card.read(model_path(learned)).ranges
-    beyond = [outside(each.scene, ranges) for each in read_definition(name).entries(seed=1, count=100)]
+    beyond = [outside(entry.scene, ranges) for entry in read_definition(name).entries(seed=1, count=100)]
     assert sum(map(bool, beyond)) <= 6
 
 
@@ -198,9 +205,9 @@ def test_a_model_comes_back_without_flags(lively: Simulator, file: Path) -> None
     assert model.provenance == {"seed": 3, "datasets": ["a"], "score": None}
     assert model.simulator.acceleration_scale.item() == pytest.approx(NORMALISATION.acceleration_scale)
     assert not model.simulator.training
-    again, own = model.simulator.state_dict(), lively.state_dict()
-    assert again.keys() == own.keys()
-    assert all(torch.equal(again[name], own[name]) for name in own)
+    again, expected = model.simulator.state_dict(), lively.state_dict()
+    assert again.keys() == expected.keys()
+    assert all(torch.equal(again[name], expected[name]) for name in expected)
 
 
 def test_missing_truncated_and_foreign_files_are_input_errors(file: Path, tmp_path: Path) -> None:

@@ -54,9 +54,9 @@ def test_it_is_scored_calibrated_and_predicts_a_band(settings: ModelSettings, da
     model = Braked(settings)
     scores = evaluate(model, flows_of(dataset, "valid", settings))
     scene = flows_of(dataset, "test", settings)[0].scene
-    found = gns.predict(scene, model=model, calibration=calibrated(scores))
-    assert found.half_width == pytest.approx(calibrated(scores).front["0.95"] * found.extent)
-    assert found.warning == "the training range of this network is unknown"
+    prediction = gns.predict(scene, model=model, calibration=calibrated(scores))
+    assert prediction.half_width == pytest.approx(calibrated(scores).front["0.95"] * prediction.extent)
+    assert prediction.warning == "the training range of this network is unknown"
     refused(gns.predict, scene, model=model, said="calibration: expected a calibration, by gns.score.calibrated")
 
 

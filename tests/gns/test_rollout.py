@@ -58,9 +58,9 @@ def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path) -> No
         assert trajectory.volumes.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
         assert trajectory.mass.tolist() == [0] * 192
     # The known frames are those of the run that was handed over, whatever the model makes of the rest.
-    known = Trajectory.load(files["start"]).positions[::4]
+    start = Trajectory.load(files["start"]).positions[::4]
     first = Trajectory.load(tmp_path / "frames" / "trajectory.npz").positions[:6]
-    assert all(point in known[5].tolist() for point in first[5].tolist())
+    assert all(point in start[5].tolist() for point in first[5].tolist())
 
 
 @pytest.mark.parametrize(

@@ -28,27 +28,27 @@ from validation.bench.stability.exact_solutions import FreeFlight
 
 def scored(**errors: Any) -> Score:
     """Of a flow without errors but these."""
-    known = {"front": 0.0, "profile": 0.0, "height": 0.0, "thickness": 0.0, "overlap": 1.0}
-    return Score(**{"released": True, "at_wall": False, **known, **errors})
+    perfect = {"front": 0.0, "profile": 0.0, "height": 0.0, "thickness": 0.0, "overlap": 1.0}
+    return Score(**{"released": True, "at_wall": False, **perfect, **errors})
 
 
 def scores_of(errors: np.ndarray) -> list[Score]:
     """Of flows with these errors of the front, and half of them of the profile [-]."""
-    return [scored(front=float(each), profile=0.5 * abs(float(each))) for each in errors]
+    return [scored(front=float(error), profile=0.5 * abs(float(error))) for error in errors]
 
 
 def test_bands_are_conformal_quantiles() -> None:
     # Of the rank ceil((n + 1) level) = 10, 16, 19.
     errors = 0.01 * np.arange(1.0, 20.0) * (-1.0) ** np.arange(19)
-    found = calibrated(scores_of(errors))
-    assert list(found.front.values()) == pytest.approx([0.10, 0.16, 0.19])
-    assert list(found.profile.values()) == pytest.approx([0.05, 0.08, 0.095])
-    assert found.flows == 19
+    calibration = calibrated(scores_of(errors))
+    assert list(calibration.front.values()) == pytest.approx([0.10, 0.16, 0.19])
+    assert list(calibration.profile.values()) == pytest.approx([0.05, 0.08, 0.095])
+    assert calibration.flows == 19
     # Of fewer flows than the level asks for by Student's law, which is the normal law of many and 12.7 sigma of one.
     assert calibrated(scores_of(errors[:1])).front["0.95"] == pytest.approx(0.01 * 12.706, rel=1e-3)
     # Fronts that a wall holds make no band narrower.
     held = scored(front=0.02, at_wall=True)
-    assert calibrated([*scores_of(errors), *[held] * 40]) == found
+    assert calibrated([*scores_of(errors), *[held] * 40]) == calibration
     assert calibrated([held]).flows == 1
 
 
@@ -61,8 +61,8 @@ def test_new_flows_are_within_as_often_as_the_level_says(heavy: bool, count: int
 
     shares = []
     for _ in range(300):
-        found, errors = calibrated(scores_of(drawn(count))).front, np.abs(drawn(200))
-        shares.append([np.mean(errors <= found[f"{level:g}"]) for level in card.LEVELS])
+        band, errors = calibrated(scores_of(drawn(count))).front, np.abs(drawn(200))
+        shares.append([np.mean(errors <= band[f"{level:g}"]) for level in card.LEVELS])
     # Split conformal prediction: level to level + 1 / (n + 1).
     assert np.mean(shares, axis=0) == pytest.approx(
         np.add(card.LEVELS, 0.5 / (count + 1)), abs=0.02 + 0.5 / (count + 1)
@@ -84,20 +84,20 @@ def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: 
     scene = dataclasses.replace(spreading(30.0).scene, duration=0.1)
     refused(gns.predict, scene, model=model, said="model.json: calibration: expected a calibration")
     assert command_line.run(score, "score", [str(dataset), "--model", str(model), "--keep"]) == 0
-    said, known = capsys.readouterr().out, card.read(model)
-    calibration = known.calibration(scene)
+    said, model_card = capsys.readouterr().out, card.read(model)
+    calibration = model_card.calibration(scene)
     assert calibration.flows == 2
-    assert known.scores in said
-    assert f"{dataset.name}, test" in known.scores
-    assert "released at rest | 1" in known.scores
+    assert model_card.scores in said
+    assert f"{dataset.name}, test" in model_card.scores
+    assert "released at rest | 1" in model_card.scores
 
-    found = gns.predict(scene, model=model, level=0.8)
+    prediction = gns.predict(scene, model=model, level=0.8)
     rollout = gns.simulate(scene, model=model)
     rear, front = measures.ends(rollout.positions[-1], rollout.volumes)
-    assert (found.front, found.extent) == pytest.approx((front, front - rear))
-    assert found.half_width == pytest.approx(calibration.front["0.8"] * (front - rear))
-    assert found.profile_error == pytest.approx(calibration.profile["0.8"] * (front - rear))
-    assert found.warning is None
+    assert (prediction.front, prediction.extent) == pytest.approx((front, front - rear))
+    assert prediction.half_width == pytest.approx(calibration.front["0.8"] * (front - rear))
+    assert prediction.profile_error == pytest.approx(calibration.profile["0.8"] * (front - rear))
+    assert prediction.warning is None
     assert "slope_deg 20" in (gns.predict(dataclasses.replace(scene, slope_deg=20.0), model=model).warning or "")
     refused(gns.predict, scene, model=model, level=0.9, said="level: expected one of 0.5, 0.8, 0.95, got 0.9")
 
@@ -117,11 +117,11 @@ def test_what_cannot_be_calibrated_is_an_input_error(
 
 def test_a_table_has_mean_amounts_and_the_worst_of_what_is_known() -> None:
     many = [scored(front=0.01, overlap=0.9, creep=0.002), scored(front=-0.03, overlap=0.8), scored()]
-    found = summary(many)
-    assert (found["front"], found["overlap in plan"]) == ("1.3 % (-3.0)", "90.0 % (80.0)")
-    assert found["creep"] == "2.0 mm/s (2.0)"
+    amounts = summary(many)
+    assert (amounts["front"], amounts["overlap in plan"]) == ("1.3 % (-3.0)", "90.0 % (80.0)")
+    assert amounts["creep"] == "2.0 mm/s (2.0)"
     # A front at a wall is right of any model; of flows of which none rests nothing is known of the creep.
-    row = table([dataclasses.replace(each, creep=math.nan, at_wall=True) for each in many]).splitlines()[-1]
+    row = table([dataclasses.replace(flow_score, creep=math.nan, at_wall=True) for flow_score in many]).splitlines()[-1]
     start, flows, held, front, profile, *_, creeps = (cell.strip() for cell in row.strip("|").split("|"))
     assert (start, flows, held, front, profile, creeps) == ("released at rest", "3", "3", "-", "0.0 % (0.0)", "-")
     assert calibrated(many).errors["overlap"] == pytest.approx(0.9)

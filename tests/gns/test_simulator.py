@@ -32,7 +32,7 @@ from tests.gns.conftest import NORMALISATION, Cloud
 
 def test_the_order_of_the_particles_does_not_matter(lively: Simulator, cloud: Cloud) -> None:
     lively.double()
-    state, conditions = (each.to(dtype=torch.float64) for each in cloud(lower=(0.0, 0.0)))
+    state, conditions = (part.to(dtype=torch.float64) for part in cloud(lower=(0.0, 0.0)))
     friction = torch.linspace(0.3, 0.9, len(state.positions), dtype=torch.float64)
     conditions = dataclasses.replace(conditions, friction=friction)
     order = torch.randperm(len(friction), generator=torch.Generator().manual_seed(3))
@@ -43,12 +43,12 @@ def test_the_order_of_the_particles_does_not_matter(lively: Simulator, cloud: Cl
 
 def test_far_from_the_walls_a_shift_by_grid_cells_changes_nothing(lively: Simulator, cloud: Cloud) -> None:
     lively.double()
-    state, conditions = (each.to(dtype=torch.float64) for each in cloud(velocity=(0.5, 0.2)))
+    state, conditions = (part.to(dtype=torch.float64) for part in cloud(velocity=(0.5, 0.2)))
     conditions = dataclasses.replace(conditions, size=torch.full((1, 2), 8.0, dtype=torch.float64))
     shift = lively.settings.grid_cell * torch.tensor([200.0, 31.0], dtype=torch.float64)
     moved = State(positions=state.positions + shift, displacements=state.displacements)
     with torch.no_grad():
-        here, there = (unroll(lively, each, conditions, 5) for each in (state, moved))
+        here, there = (unroll(lively, initial, conditions, 5) for initial in (state, moved))
     assert (here[-1] - here[0]).std(dim=0).min() > 1e-5
     torch.testing.assert_close(there - shift, here, atol=1e-9, rtol=0.0)
 
@@ -58,9 +58,9 @@ def test_a_short_past_is_continued_with_the_initial_velocity(frames: int) -> Non
     velocity = torch.tensor([[1.0, 0.0]])
     track = torch.arange(frames).view(-1, 1, 1).square() * torch.tensor([0.0, 0.01])
     state = State.observed(track, velocity, step=0.1, history=3)
-    known = (track[1:] - track[:-1])[-3:]
-    made_up = torch.tensor([0.1, 0.0]).expand(3 - len(known), 1, 2)
-    torch.testing.assert_close(state.displacements, torch.cat((made_up, known)))
+    past = (track[1:] - track[:-1])[-3:]
+    made_up = torch.tensor([0.1, 0.0]).expand(3 - len(past), 1, 2)
+    torch.testing.assert_close(state.displacements, torch.cat((made_up, past)))
     torch.testing.assert_close(state.positions, track[-1])
 
 
@@ -177,7 +177,7 @@ STEPS = 6
 @pytest.fixture
 def problem(lively: Simulator, cloud: Cloud) -> tuple[Simulator, State, Conditions]:
     """A frozen model in double precision and a block at the left wall."""
-    state, conditions = (each.to(dtype=torch.float64) for each in cloud(lower=(0.0, 0.0)))
+    state, conditions = (part.to(dtype=torch.float64) for part in cloud(lower=(0.0, 0.0)))
     return lively.double().requires_grad_(False), state, conditions
 
 
@@ -190,7 +190,7 @@ def front(problem: tuple[Simulator, State, Conditions], friction: Tensor, kept_s
 
 
 def test_a_kept_step_costs_what_was_measured_and_changes_nothing(problem: tuple[Simulator, State, Conditions]) -> None:
-    found = set()
+    results = set()
 
     def stored(kept_steps: int) -> int:
         storages: dict[int, Tensor] = {}
@@ -204,7 +204,7 @@ def test_a_kept_step_costs_what_was_measured_and_changes_nothing(problem: tuple[
         with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
             value = front(problem, friction, kept_steps)
         size = sum(tensor.untyped_storage().nbytes() for tensor in storages.values())
-        found.add((value.item(), torch.autograd.grad(value, friction)[0].item()))
+        results.add((value.item(), torch.autograd.grad(value, friction)[0].item()))
         return size
 
     simulator, state, conditions = problem
@@ -213,7 +213,7 @@ def test_a_kept_step_costs_what_was_measured_and_changes_nothing(problem: tuple[
     assert stored(4) - stored(1) == pytest.approx(3 * per_step, rel=0.2)
     # More than there are keeps all.
     assert stored(STEPS + 3) > stored(4) > stored(0)
-    assert len(found) == 1
+    assert len(results) == 1
 
 
 # Mean x [m] after the steps above and its derivative with respect to tan(phi) [m]: other libraries round otherwise,
@@ -236,9 +236,9 @@ def test_a_rollout_and_its_gradient_are_as_stored(model: str, scene: str, positi
     assert not simulator.training
     assert not any(weight.requires_grad for weight in simulator.parameters())
     change = torch.zeros((), requires_grad=True)
-    found = mean_x(simulator, scene, change)
-    (gradient,) = torch.autograd.grad(found, change)
-    assert found.item() == pytest.approx(position, rel=1e-5)
+    mean = mean_x(simulator, scene, change)
+    (gradient,) = torch.autograd.grad(mean, change)
+    assert mean.item() == pytest.approx(position, rel=1e-5)
     assert gradient.item() == pytest.approx(slope, rel=1e-3)
 
 
@@ -266,12 +266,12 @@ def figures(flow: Trajectory, column: float) -> dict[str, Any]:
 @pytest.mark.parametrize("name", MPM)
 def test_a_shipped_model_is_as_near_to_the_mpm_as_its_card_says(name: str) -> None:
     scene, expected = read_scene(name), MPM[name]
-    known = card.read(shipped(scene))
-    band = known.calibration(scene)
-    found = figures(gns.simulate(scene), expected["column"])
+    model_card = card.read(shipped(scene))
+    band = model_card.calibration(scene)
+    deposit = figures(gns.simulate(scene), expected["column"])
     rear, front = expected["ends"]
-    assert found["ends"][1] == pytest.approx(front, abs=BANDS * band.front["0.95"] * (front - rear))
-    assert found["height"] == pytest.approx(expected["height"], rel=HEIGHT)
+    assert deposit["ends"][1] == pytest.approx(front, abs=BANDS * band.front["0.95"] * (front - rear))
+    assert deposit["height"] == pytest.approx(expected["height"], rel=HEIGHT)
     thickness = np.array(expected["thickness"])
-    apart = measures.thickness_apart(thickness, np.array(found["thickness"]))
+    apart = measures.thickness_apart(thickness, np.array(deposit["thickness"]))
     assert apart < THICKNESS[scene.dimension] * thickness.max()

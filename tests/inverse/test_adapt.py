@@ -59,7 +59,7 @@ def test_flows_fill_the_box_and_more_begin_with_the_fewer(tiny: Model) -> None:
     problem, settings = problem_of(2, *NAMES), tiny.simulator.settings
     entries = definition(problem, 32, settings, seed=3).entries(seed=3)
     assert entries[:8] == definition(problem, 8, settings, seed=3).entries(seed=3)
-    values = np.array([[each.read(entry.scene) for each in problem.kinds] for entry in entries])
+    values = np.array([[kind.read(entry.scene) for kind in problem.kinds] for entry in entries])
     shares = (values - problem.box.lower) / problem.box.range
     # Every eighth of every range has four of 32 points.
     assert all((np.bincount((8 * column).astype(int), minlength=8) == 4).all() for column in shares.T)
@@ -87,19 +87,19 @@ def test_flows_are_stored_as_a_rollout_runs_them(adapted: Path, tiny: Model) -> 
 
 def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, weights: Path) -> None:
     problem = problem_of(2, *NAMES)
-    found = card.read(model_path(adapted))
-    low, high = found.ranges["friction_deg"]
+    model_card = card.read(model_path(adapted))
+    low, high = model_card.ranges["friction_deg"]
     assert problem.box.lower[0] <= low < high <= problem.box.upper[0]
-    assert sum(each.scenes for each in found.datasets.values()) == 5
-    assert "moving" in found.scores
-    band = found.calibration(problem.scene)
+    assert sum(data.scenes for data in model_card.datasets.values()) == 5
+    assert "moving" in model_card.scores
+    band = model_card.calibration(problem.scene)
     assert band.flows == 2
     runs = deposits(adapted, problem)
     assert len(runs) == len(deposits(model_path(adapted), problem)) == 7
     for values, flow in runs:
         assert len(flow.time) == 1
         assert flow.time[0] == pytest.approx(problem.scene.duration)
-        np.testing.assert_allclose(values, [each.read(flow.scene) for each in problem.kinds])
+        np.testing.assert_allclose(values, [kind.read(flow.scene) for kind in problem.kinds])
     other = problem_of(2, "cohesion")
     assert deposits(adapted, other) == []
     said = "expected a new folder, or one of small on the same cells, it is of another"

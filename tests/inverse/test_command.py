@@ -74,18 +74,18 @@ def test_the_mpm_with_its_adjoint_and_without(tmp_path: Path) -> None:
         arguments = [str(tmp_path / "problem.toml"), "--forward", forward, "--out", str(out)]
         assert run(main, "inverse", arguments) == 0
         results.append(json.loads((out / "result.json").read_text()))
-    ours, theirs = (each["unknowns"]["masses[0].velocity_x"] for each in results)
-    widths = [each["certainty"]["masses[0].velocity_x"] for each in results]
+    ours, theirs = (result["unknowns"]["masses[0].velocity_x"] for result in results)
+    widths = [result["certainty"]["masses[0].velocity_x"] for result in results]
     assert abs(ours - theirs) < max(widths) < 0.5
-    assert all(each["loss"]["mpm"] < 1e-5 for each in results)
-    assert all(each["flows"] < 25 for each in results)
+    assert all(result["loss"]["mpm"] < 1e-5 for result in results)
+    assert all(result["flows"] < 25 for result in results)
 
 
 def test_every_run_of_the_mpm_is_counted(tmp_path: Path) -> None:
     """The twin's own flow too, as the report says."""
     case = wedge(tmp_path)
-    found = of_numbers(case.problem, case.target, MpmForward(case.problem, case.target.observation, case.mpm))
-    assert found.run_count == len(case.mpm.scenes) + 1
+    result = of_numbers(case.problem, case.target, MpmForward(case.problem, case.target.observation, case.mpm))
+    assert result.run_count == len(case.mpm.scenes) + 1
 
 
 def test_a_problem_built_in_python(tmp_path: Path) -> None:
@@ -102,6 +102,6 @@ def test_a_problem_built_in_python(tmp_path: Path) -> None:
         observations=(ToeSettings(values=(0.12, 0.01)),),
         optimiser=read.optimiser,
     )
-    results = [invert(each, model=weights) for each in (read, built)]
+    results = [invert(case, model=weights) for case in (read, built)]
     assert results[0].unknowns == results[1].unknowns
     assert results[0].unknowns != dict(zip(read.names, read.initial, strict=True))

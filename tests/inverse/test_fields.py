@@ -114,7 +114,7 @@ def test_a_linear_problem_has_the_exact_gaussian_posterior() -> None:
     inverse = np.linalg.inv(search.root @ search.root.T)
     exact = np.linalg.inv(np.eye(W) + flow.matrix.T @ inverse @ flow.matrix)
     assert posterior.promised < 1e-9
-    assert [each["step"] for each in search.iterates] == [0.0, 1.0]
+    assert [iterate["step"] for iterate in search.iterates] == [0.0, 1.0]
     np.testing.assert_allclose(posterior.mean, exact @ flow.matrix.T @ inverse @ target, atol=1e-10)
     np.testing.assert_allclose(np.eye(W) - posterior.removed @ posterior.removed.T, exact, atol=1e-10)
     eigenvalues = np.linalg.eigvalsh(flow.matrix.T @ inverse @ flow.matrix)[::-1]
@@ -128,9 +128,9 @@ def test_a_linear_problem_has_the_exact_gaussian_posterior() -> None:
 def test_a_step_is_halved_until_the_objective_falls() -> None:
     search = objective(LinearFlow(MATRIX, bend=0.05), np.full(M, 20.0))
     assert search.minimise(np.zeros(W), 30).promised < 0.5
-    objectives = [each["objective"] for each in search.iterates]
+    objectives = [iterate["objective"] for iterate in search.iterates]
     assert sorted(objectives, reverse=True) == objectives
-    assert min(each["step"] for each in search.iterates[1:]) < 1.0
+    assert min(iterate["step"] for iterate in search.iterates[1:]) < 1.0
 
 
 def test_nodes_cover_the_body_between_the_stated_band(tmp_path: Path) -> None:
@@ -183,8 +183,8 @@ def test_the_derivative_of_the_numbers(tmp_path: Path) -> None:
     rows = rng.normal(size=(2, len(flow.mean(white, problem.seeds))))
     ours = flow.jacobian(white, rows, problem.seeds) @ direction
     ahead, behind = (flow.mean(white + sign * 0.05 * direction, problem.seeds) for sign in (1.0, -1.0))
-    found = rows @ (ahead - behind) / 0.1
-    np.testing.assert_allclose(ours, found, atol=0.15 * np.abs(found).max())
+    differences = rows @ (ahead - behind) / 0.1
+    np.testing.assert_allclose(ours, differences, atol=0.15 * np.abs(differences).max())
 
 
 def test_the_command(tmp_path: Path) -> None:
@@ -212,8 +212,8 @@ def test_the_command(tmp_path: Path) -> None:
 def test_the_slope_that_ships() -> None:
     """The weak band is found where the deposit identifies it, and a run with another jitter confirms."""
     result = invert(read_problem("slope-friction"))
-    (found,) = result.fields
+    (friction,) = result.fields
     assert result.verdict is Verdict.CONFIRMED
-    before, after = (found.error(found.identified, values) for values in (found.unknown.settings.mean, None))
+    before, after = (friction.error(friction.identified, values) for values in (friction.unknown.settings.mean, None))
     assert (after or 1.0) < 0.6 * (before or 0.0)
-    assert (found.covered(found.unknown.inside) or 0.0) > 0.9
+    assert (friction.covered(friction.unknown.inside) or 0.0) > 0.9

@@ -102,13 +102,13 @@ def draining(**target: Any) -> Problem:
 
 
 def check(problem: Problem, **options: Any) -> None:
-    found = solve(problem, **options)
+    result = solve(problem, **options)
     for name, true in problem.target.truth.items():
-        low, high = found.interval[name]
+        low, high = result.interval[name]
         assert low <= true <= high
-        assert found.unknowns[name] == pytest.approx(true, rel=0.1)
-    assert found.verdict.confirms
-    assert any(each.startswith("partly drained") for each in found.remarks) or "simulate" in options
+        assert result.unknowns[name] == pytest.approx(true, rel=0.1)
+    assert result.verdict.confirms
+    assert any(remark.startswith("partly drained") for remark in result.remarks) or "simulate" in options
 
 
 def test_gauges_tell_permeability_and_initial_pressure() -> None:
@@ -116,10 +116,10 @@ def test_gauges_tell_permeability_and_initial_pressure() -> None:
 
     def known(scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
         asked.append(record)
-        return [drained(each) for each in scenes]
+        return [drained(scene) for scene in scenes]
 
     check(draining(), simulate=known)
-    assert {each.pore_pressure for each in asked} == {True}
+    assert {recording.pore_pressure for recording in asked} == {True}
 
 
 @pytest.mark.slow
@@ -148,7 +148,7 @@ def test_a_gauge_and_a_front_tell_the_level_of_the_water_and_the_friction() -> N
         target=TargetSettings(twin=True, seed=5, truth={"water.level": 0.12, "friction_deg": 32.0}),
         surrogate=Surrogate.NONE,
     )
-    found = solve(problem)
-    assert found.unknowns["water.level"] == pytest.approx(0.12, abs=0.01)
+    result = solve(problem)
+    assert result.unknowns["water.level"] == pytest.approx(0.12, abs=0.01)
     for name, true in problem.target.truth.items():
-        assert found.interval[name][0] <= true <= found.interval[name][1]
+        assert result.interval[name][0] <= true <= result.interval[name][1]

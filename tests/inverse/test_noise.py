@@ -30,8 +30,8 @@ def test_right_answers_lie_within_it_as_often_as_it_says(size: int, noise: float
     rng, outside, wider = np.random.default_rng(1), 0, 0
     for _ in range(400):
         target = target_of(noise * rng.normal(size=size) + width * rng.normal(size=size), noise)
-        found = fit(target, width * rng.normal(size=(4, size)), scatter_of(rng, size, width))
-        outside, wider = outside + (not found.inside), wider + (found.probability < 0.05)
+        fitted = fit(target, width * rng.normal(size=(4, size)), scatter_of(rng, size, width))
+        outside, wider = outside + (not fitted.inside), wider + (fitted.probability < 0.05)
     assert outside <= 14
     assert wider <= 45
 
@@ -75,8 +75,8 @@ def test_the_degrees_of_freedom_are_those_of_the_whole_covariance(dependent: boo
     whole = matrix + flows + np.diag(np.maximum(variance - np.diag(flows), 0.0))
     scale = np.sqrt(1.0 + variance)
     target = Target(observation=FRONT, values=np.zeros(size), errors=errors if dependent else Covariance(np.ones(size)))
-    found = fit(target, rng.normal(size=(count, size)), scatter)
-    assert found.freedom[0] == pytest.approx(size**2 / np.sum((whole / np.outer(scale, scale)) ** 2), rel=1e-9)
+    fitted = fit(target, rng.normal(size=(count, size)), scatter)
+    assert fitted.freedom[0] == pytest.approx(size**2 / np.sum((whole / np.outer(scale, scale)) ** 2), rel=1e-9)
 
 
 def test_half_widths_grow_where_more_numbers_than_parameters_do_not_fit() -> None:
@@ -96,5 +96,5 @@ def test_the_error_of_the_cells_is_one_smooth_bias_and_hides_no_outlier() -> Non
     outliers[[3, 7]] = 0.05, -0.06
     for off, inside, named in ((cells, True, []), (cells + outliers, False, [3, 7])):
         shown = np.zeros((4, size)) + off
-        found = fit(target_of(np.zeros(size), 0.005), shown, scatter, cells=cells, parameters=1, slopes=slopes)
-        assert (found.inside, list(found.outliers)) == (inside, named)
+        fitted = fit(target_of(np.zeros(size), 0.005), shown, scatter, cells=cells, parameters=1, slopes=slopes)
+        assert (fitted.inside, list(fitted.outliers)) == (inside, named)

@@ -124,7 +124,7 @@ def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> 
 def test_a_wrong_problem_is_one_line_and_status_2(
     old: str, new: str, key: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    text = next(each for each in (GOOD, STATED) if old in each)
+    text = next(template for template in (GOOD, STATED) if old in template)
     path = written(tmp_path, text.replace(old, new))
     assert key in refused_by(capfd, main, path, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()

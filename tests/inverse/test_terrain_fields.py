@@ -138,7 +138,7 @@ def test_what_the_unknown_fields_are(path: str) -> None:
     assert bed.truth(SCENE)[0] == pytest.approx(south.mean())
     values = np.array([0.3, 0.2, 0.4])
     put = bed.put(SCENE, values)
-    assert {round(each, 6) for row in put.solids[0].friction for each in row} == {0.2, 0.3, 0.4}
+    assert {round(coefficient, 6) for row in put.solids[0].friction for coefficient in row} == {0.2, 0.3, 0.4}
     np.testing.assert_allclose(bed.on_bed(SCENE, np.random.default_rng(0).uniform(0.0, 0.6, (50, 2))).sum(axis=1), 1.0)
     posts = np.array([[0.0, 0.2], [0.2, 0.4], [0.6, 0.6]])
     shown = [put.solids[0].friction[round(x / 0.2) + 1][round(z / 0.2) + 1] for x, z in posts]
@@ -185,9 +185,9 @@ def test_the_adjoint_of_both(path: str) -> None:
         direction = rng.normal(size=len(values)) * values
 
         ends = [unknown.put(scene, values + step * direction) for step in (1e-5, -1e-5)]
-        ahead, behind = (gradient(each, objective, threads=1, exact=True)[0] for each in ends)
-        found = (ahead - behind) / 2e-5
-        assert ours @ direction == pytest.approx(found, rel=1e-3), (unknown.settings.name, part)
+        ahead, behind = (gradient(end, objective, threads=1, exact=True)[0] for end in ends)
+        difference = (ahead - behind) / 2e-5
+        assert ours @ direction == pytest.approx(difference, rel=1e-3), (unknown.settings.name, part)
 
 
 class Dragged(torch.nn.Module):
@@ -233,15 +233,15 @@ def test_runs_correct_the_derivatives_of_a_surrogate(rank: int) -> None:
     objective = Objective(flow, target, covariance, [0], combinations=rng.normal(size=(M, M)))
     jacobian = objective.change.T @ objective.rows @ objective.whitened(wrong)
     start = Gaussian(0.3 * rng.normal(size=W), jacobian, 0.0, objective.rows)
-    found = objective.corrected(start, true @ start.mean, 2 + 3 * rank, 1e-9 * np.eye(M))
+    corrected = objective.corrected(start, true @ start.mean, 2 + 3 * rank, 1e-9 * np.eye(M))
     exact = true.T @ np.linalg.solve(true @ true.T + covariance, target)
     assert flow.runs <= 2 + 3 * rank
-    lowest = min(each["objective"] for each in objective.iterates)
+    lowest = min(iterate["objective"] for iterate in objective.iterates)
     best = 0.5 * (10.0 * float(np.sum((true @ exact - target) ** 2)) + float(exact @ exact))
     assert lowest < best + 1.0
     if rank == 0:
-        np.testing.assert_allclose(found.mean, exact, atol=1e-9)
-        np.testing.assert_allclose(found.jacobian, objective.rows @ objective.whitened(true), atol=1e-9)
+        np.testing.assert_allclose(corrected.mean, exact, atol=1e-9)
+        np.testing.assert_allclose(corrected.jacobian, objective.rows @ objective.whitened(true), atol=1e-9)
 
 
 def test_what_the_scatter_explains_corrects_nothing() -> None:
@@ -254,8 +254,8 @@ def test_what_the_scatter_explains_corrects_nothing() -> None:
 
     objective = Objective(Noisy(true), np.zeros(M), np.eye(M), [0], combinations=np.eye(M))
     start = Gaussian(rng.normal(size=W), objective.rows @ true, 0.0, np.eye(M))
-    found = objective.corrected(start, true @ start.mean, 4, np.eye(M))
-    np.testing.assert_array_equal(found.jacobian, start.jacobian)
+    corrected = objective.corrected(start, true @ start.mean, 4, np.eye(M))
+    np.testing.assert_array_equal(corrected.jacobian, start.jacobian)
 
 
 def test_a_surrogate_that_lacks_an_unknown_is_refused_out_of_its_range_too(path: str) -> None:
@@ -277,7 +277,7 @@ def test_the_command(path: str, tmp_path: Path) -> None:
     assert result["surrogate"]["asked"]
     assert len(result["mpm_runs"]) == 3
     assert result["run_count"] <= 9
-    assert [each["name"] for each in result["fields"]] == ["thickness", "solids[0].friction"]
+    assert [entry["name"] for entry in result["fields"]] == ["thickness", "solids[0].friction"]
     report = (out / "report.md").read_text()
     assert "thickness.png" in report
 
@@ -292,11 +292,11 @@ def test_a_surrogate_leads_and_runs_correct_it(path: str) -> None:
     (values,) = truth.observe([rng.normal(size=truth.size)], [1000])
     errors = Covariance.correlated(np.full(len(values), 0.004), operator.grid.positions, None)
     target = Target(observation=operator, values=values, errors=errors)
-    found = led(truth, lead, target)
-    objective = found.surrogate["objective"]
+    result = led(truth, lead, target)
+    objective = result.surrogate["objective"]
     assert truth.runs <= 1 + LED_RUNS - LED_CHECKS
     assert lead.reverses > 0
     assert min(objective) < 0.8 * objective[0]
-    assert found.posterior.jacobian.shape == (len(found.posterior.combinations), truth.size)
-    removed = (found.posterior.removed**2).sum(axis=1)
+    assert result.posterior.jacobian.shape == (len(result.posterior.combinations), truth.size)
+    removed = (result.posterior.removed**2).sum(axis=1)
     assert 0.0 <= removed.min() <= removed.max() <= 1.0

@@ -148,8 +148,8 @@ def follow_controlled(
             after = follow(material, gradient(free)[None], now)[0]
             return np.array([after[k] - value for k, value in held.items()]) / material.modulus
 
-        found = root(miss, np.zeros(len(held)), tol=1e-14)
-        stress = follow(material, gradient(found.x)[None], stress)[0]
+        solution = root(miss, np.zeros(len(held)), tol=1e-14)
+        stress = follow(material, gradient(solution.x)[None], stress)[0]
         history.append(stress)
     return np.array(history)
 

@@ -45,8 +45,8 @@ def test_a_mass_stands_until_its_time_and_then_flows(scene: Scene, frame: int) -
 @pytest.mark.parametrize("release", [0.05, "settled"])
 def test_what_barriers_and_damping_take_is_in_the_balance(release: float | str) -> None:
     scene = with_masses(SCENE, dataclasses.replace(COLUMN, lower=(0.3, 0.0), release=release))
-    found = momentum(simulate(scene, precision="f64", threads=1, record=WITH_FIELDS))
-    assert found.value < 1e-5
+    balance = momentum(simulate(scene, precision="f64", threads=1, record=WITH_FIELDS))
+    assert balance.value < 1e-5
 
 
 @pytest.mark.double

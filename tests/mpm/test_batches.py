@@ -112,7 +112,7 @@ def wide(workers: int) -> list[Scene]:
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_grid_without_room_grows_and_the_run_goes_on(workers: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    scenes, found = wide(workers), []
+    scenes, outputs = wide(workers), []
     for fewest in (1, 2**20):
         monkeypatch.setattr("mpm.arrays.layout.FEWEST_NODES", fewest)
         monkeypatch.setattr("mpm.arrays.layout.NODES_PER_PARTICLE", 0)
@@ -123,8 +123,8 @@ def test_a_grid_without_room_grows_and_the_run_goes_on(workers: int, monkeypatch
             compute(batch, last)
         assert (batch.workers[:, Worker.USED] <= batch.workers[:, Worker.ROOM]).all()
         assert (batch.workers[:, Worker.ROOM] > first).all() == (fewest == 1)
-        found.append([batch.recorded(0).copy(), batch.energies(0).copy(), batch.offsets[:, Offset.STEPS].copy()])
-    for grown, at_once in zip(*found, strict=True):
+        outputs.append([batch.recorded(0).copy(), batch.energies(0).copy(), batch.offsets[:, Offset.STEPS].copy()])
+    for grown, at_once in zip(*outputs, strict=True):
         np.testing.assert_array_equal(grown, at_once)
 
 

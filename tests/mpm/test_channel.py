@@ -35,7 +35,7 @@ def test_sand_in_a_channel_flows_as_between_walls_in_three_dimensions() -> None:
     body, side = Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.3, width)), math.tan(math.radians(angle))
     deep = flow(body, size=(1.2, 0.4, width), wall_friction=side)
     walled = dataclasses.replace(flat, channel=Channel(width=width, friction_deg=angle))
-    fronts = [float(simulate(each, record=LAST).summary["front"]) for each in (flat, walled, deep)]
+    fronts = [float(simulate(scene, record=LAST).summary["front"]) for scene in (flat, walled, deep)]
     assert fronts[1] == pytest.approx(fronts[2], rel=0.03)
     assert fronts[0] > 1.06 * fronts[2]
 

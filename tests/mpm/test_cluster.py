@@ -23,8 +23,8 @@ def workers() -> Iterator[Any]:
 
 @pytest.fixture
 def cluster(workers: Any) -> Iterator[Workers]:
-    with connected(workers.scheduler_address) as found:
-        yield found
+    with connected(workers.scheduler_address) as connection:
+        yield connection
 
 
 def wait_and_name(number: float) -> tuple[float, int]:
@@ -35,13 +35,13 @@ def wait_and_name(number: float) -> tuple[float, int]:
 
 @pytest.mark.slow
 def test_tasks_of_a_killed_worker_are_made_by_others(cluster: Workers) -> None:
-    found, first = {}, None
-    for index, (number, process) in cluster.finished(wait_and_name, [(float(each),) for each in range(12)]):
-        found[index] = number
+    numbers, first = {}, None
+    for index, (number, process) in cluster.finished(wait_and_name, [(float(value),) for value in range(12)]):
+        numbers[index] = number
         if first is None:
             first = process
             os.kill(first, signal.SIGKILL)
-    assert found == {index: float(index) for index in range(12)}
+    assert numbers == {index: float(index) for index in range(12)}
 
 
 @pytest.mark.parametrize(

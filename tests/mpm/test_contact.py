@@ -175,8 +175,8 @@ def test_momentum_goes_into_walls_and_solids_alone() -> None:
     turned = Solid(lower=(0.6, 0.1), size=(0.1, 0.1), turned_deg=30.0, friction=0.4)
     scene = sand(*masses, size=(1.0, 0.6), solids=(ground, turned), duration=0.6)
     flow = simulate(scene, record=WITH_FIELDS, precision="f64")
-    found = momentum(flow)
-    assert found.value < 1.0e-5
+    balance = momentum(flow)
+    assert balance.value < 1.0e-5
     assert flow.solid_impulse[-1, 1, 0] > 0.0
 
 
@@ -270,9 +270,9 @@ def test_the_face_that_is_followed_is_the_nearest(scene: Scene) -> None:
         distance = distance_from(scene, batch.numbers(0, 0, scene.dimension).T)
         assert distance.min() > -1.0e-5 * cell
         exact = np.clip(distance, 0.0, None)
-        found = batch.numbers(0, batch.features.state.contacts, len(Contact))[Contact.DISTANCE]
-        assert (found <= exact + 1.0e-9 * cell)[exact < 2.0 * cell].all()
-        assert np.abs(found - exact)[exact < cell].max(initial=0.0) < 1.0e-9 * cell
+        followed = batch.numbers(0, batch.features.state.contacts, len(Contact))[Contact.DISTANCE]
+        assert (followed <= exact + 1.0e-9 * cell)[exact < 2.0 * cell].all()
+        assert np.abs(followed - exact)[exact < cell].max(initial=0.0) < 1.0e-9 * cell
     assert (exact < cell).sum() > 20
 
 
@@ -349,9 +349,9 @@ def test_a_bed_presses_on_a_smooth_baffle_alike_wherever_its_face_cuts_the_cells
         )
 
     impulses = [flow.solid_impulse for flow in simulate_many([bed(0.1 * tenth) for tenth in range(10)])]
-    found = [float(each[-1, 0, 0] - each[-31, 0, 0]) / 0.3 for each in impulses if each is not None]
-    assert max(found) == pytest.approx(min(found), rel=spread)
+    thrusts = [float(impulse[-1, 0, 0] - impulse[-31, 0, 0]) / 0.3 for impulse in impulses if impulse is not None]
+    assert max(thrusts) == pytest.approx(min(thrusts), rel=spread)
     # At least as much as the confined elastic bed, nu / (1 - nu) of its weight; yielding adds to it.
     nu = 0.3
     elastic = 0.5 * nu / (1.0 - nu) * 1800.0 * 9.81 * 0.3**2
-    assert min(found) == pytest.approx(elastic, rel=0.15)
+    assert min(thrusts) == pytest.approx(elastic, rel=0.15)

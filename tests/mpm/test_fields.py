@@ -42,11 +42,11 @@ def test_properties_of_a_constant_field_are_those_of_the_material(material: Mate
 def test_a_constant_field_makes_the_flow_of_its_angle() -> None:
     scene = plane(Material(friction_deg=30.0), duration=0.1)
     uniform = simulate(with_friction(scene, np.full(12, 24.0)), record=LAST)
-    own = simulate(plane(Material(friction_deg=24.0), duration=0.1), record=LAST)
-    np.testing.assert_allclose(uniform.positions[-1], own.positions[-1], atol=1e-6)
-    assert uniform.friction == pytest.approx(own.friction, rel=1e-6)
+    expected = simulate(plane(Material(friction_deg=24.0), duration=0.1), record=LAST)
+    np.testing.assert_allclose(uniform.positions[-1], expected.positions[-1], atol=1e-6)
+    assert uniform.friction == pytest.approx(expected.friction, rel=1e-6)
     varied = simulate(with_friction(scene, np.linspace(15.0, 40.0, 12)), record=LAST)
-    assert np.abs(varied.positions[-1] - own.positions[-1]).max() > 1e-4
+    assert np.abs(varied.positions[-1] - expected.positions[-1]).max() > 1e-4
 
 
 @pytest.mark.double
@@ -61,11 +61,11 @@ def test_the_adjoint_of_a_field_of_friction(material: Material) -> None:
     (field,) = scene.fields
     at_nodes = field.weights(slope.particles.positions).T @ slope.material("friction_deg")
     direction = np.random.default_rng(2).normal(size=12)
-    found = central(lambda h: value_of(with_friction(scene, values + h * direction), objective), 1e-2)
-    assert at_nodes @ direction == pytest.approx(found, rel=5e-6)
+    derivative = central(lambda h: value_of(with_friction(scene, values + h * direction), objective), 1e-2)
+    assert at_nodes @ direction == pytest.approx(derivative, rel=5e-6)
 
     def with_cohesion(h: float) -> Scene:
         return dataclasses.replace(scene, material=dataclasses.replace(material, cohesion=material.cohesion + h))
 
-    found = central(lambda h: value_of(with_cohesion(h), objective), 0.1)
-    assert slope.material("cohesion").sum() == pytest.approx(found, rel=5e-6)
+    derivative = central(lambda h: value_of(with_cohesion(h), objective), 0.1)
+    assert slope.material("cohesion").sum() == pytest.approx(derivative, rel=5e-6)

@@ -68,12 +68,12 @@ def test_what_no_machine_could_run_is_refused_at_once(
 
 
 def test_a_range_grows_with_the_work_and_falls_with_the_processors() -> None:
-    found = expected(COLUMN, SPEED[2] * 120.0, memory=300 * 2**20, processors=2)
-    assert found.shortest == pytest.approx(START[2][0] + 60.0 / FAST)
-    assert found.longest == pytest.approx(START[2][1] + 60.0 / SLOW)
-    assert str(found) == "expected: 0.6 to 2.6 min, 300 MiB of memory"
+    estimate = expected(COLUMN, SPEED[2] * 120.0, memory=300 * 2**20, processors=2)
+    assert estimate.shortest == pytest.approx(START[2][0] + 60.0 / FAST)
+    assert estimate.longest == pytest.approx(START[2][1] + 60.0 / SLOW)
+    assert str(estimate) == "expected: 0.6 to 2.6 min, 300 MiB of memory"
     more = expected(COLUMN, SPEED[2] * 120.0, memory=0, processors=2, after=600.0)
-    assert more.shortest == pytest.approx(found.shortest + 600.0)
+    assert more.shortest == pytest.approx(estimate.shortest + 600.0)
     work = 1.0e10
     column, baffles = (expected(scene, work, memory=0).longest for scene in (COLUMN, BAFFLES))
     bare = expected(dataclasses.replace(BAFFLES, baffles=()), work, memory=0).longest
@@ -93,7 +93,7 @@ def mountainside() -> Scene:
     """1.5 m on a path of 300 m at 30 degrees, then an arc and the level; bed friction 0.3, cells of 0.75 m."""
     along = RADIUS * np.tan(0.5 * SLOPE)
     angles = SLOPE - np.linspace(0.0, SLOPE, 17)
-    arc = [(FOOT + along - RADIUS * np.sin(each), 5.0 + RADIUS * (1.0 - np.cos(each))) for each in angles.tolist()]
+    arc = [(FOOT + along - RADIUS * np.sin(angle), 5.0 + RADIUS * (1.0 - np.cos(angle))) for angle in angles.tolist()]
     points = ((0.0, 5.0 + FOOT * np.tan(SLOPE)), *arc, (END, 5.0))
     return Scene(
         domain=Domain(size=(END, 162.0), cell=0.75),

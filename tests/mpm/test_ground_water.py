@@ -41,8 +41,8 @@ def wet_scene(*masses: Mass, water: Water | None = None, **changes: Any) -> Scen
 def pressures(of: Scene) -> tuple[Floats, Floats, Floats]:
     """Positions [m], [N, D], p [Pa] and 1 where water fills the pores, each [N], of the particles of a scene."""
     particles = initial_particles(of)
-    found, _ = initial_water(of, particles)
-    return particles.positions, found[:, 0], found[:, 1]
+    water, _ = initial_water(of, particles)
+    return particles.positions, water[:, 0], water[:, 1]
 
 
 def test_pressure_grows_from_a_line_with_the_vertical_depth() -> None:
@@ -68,8 +68,8 @@ def test_a_table_is_a_raster_or_a_spreadsheet(tmp_path: Path, corner: tuple[floa
     assert p[inside] == pytest.approx(exact[inside], abs=1.0)
     flat = text.replace("table.tif", "table.csv").replace("[2.0, 1.0, 1.0]", "[2.0, 1.0]").replace(", 0.6]", "]")
     if not corner:
-        found = scene(tmp_path, flat.replace("[0.2, 0.0, 0.2]", "[0.2, 0.0]")).water
-        assert found == Water(table=((0.2, 0.3), (0.8, 0.1)))
+        water = scene(tmp_path, flat.replace("[0.2, 0.0, 0.2]", "[0.2, 0.0]")).water
+        assert water == Water(table=((0.2, 0.3), (0.8, 0.1)))
 
 
 def test_water_stands_in_all_that_is_stacked() -> None:
@@ -98,9 +98,9 @@ def test_water_at_rest_buoys_and_water_along_a_slope_drags() -> None:
     )
     bed = Solid(kind="terrain", points=((0.0, 0.6), (1.0, 0.1)), friction=0.5)
     sheet = Mass(kind="layer", thickness=0.1)
-    found = force(wet_scene(sheet, solids=(bed,), water=Water(fixed=True)))
+    drag = force(wet_scene(sheet, solids=(bed,), water=Water(fixed=True)))
     # rho_w g cos^2, and this times the slope downhill.
-    assert found == pytest.approx(np.tile([0.5 * 0.8 * buoyancy[1], 0.8 * buoyancy[1]], (len(found), 1)), rel=1e-6)
+    assert drag == pytest.approx(np.tile([0.5 * 0.8 * buoyancy[1], 0.8 * buoyancy[1]], (len(drag), 1)), rel=1e-6)
 
 
 def test_tables_that_are_none_are_refused() -> None:
@@ -125,8 +125,8 @@ def test_grains_of_a_submerged_slope_bear_its_buoyant_weight() -> None:
     exact, _ = initial_tractions(reduced(light, 1.0), initial_particles(reduced(light, 1.0)))
     particles = initial_particles(reduced(wet, 1.0))
     water, seepage = initial_water(reduced(wet, 1.0), particles)
-    found, _ = initial_tractions(reduced(wet, 1.0), particles, None, water, seepage)
-    assert found == pytest.approx(exact, abs=1.0e-3 * float(np.abs(exact).max()))
+    tractions, _ = initial_tractions(reduced(wet, 1.0), particles, None, water, seepage)
+    assert tractions == pytest.approx(exact, abs=1.0e-3 * float(np.abs(exact).max()))
 
 
 @pytest.mark.slow
@@ -185,14 +185,14 @@ def bishop(slope: KnownSlope, *, ratio: float = 0.0, level: float = 0.0, pool: f
         table = np.maximum(np.minimum(level, top), base)
         u = ratio * soil * (top - base) + water * (table - base)
         u -= water * np.clip(pool - base, 0.0, top - base)
-        found, last_found = 1.0, 0.0
-        while abs(found - last_found) > 1.0e-6:
-            share = np.sqrt(1.0 - sine**2) + sine * tan / found
+        safety, last_safety = 1.0, 0.0
+        while abs(safety - last_safety) > 1.0e-6:
+            share = np.sqrt(1.0 - sine**2) + sine * tan / safety
             if share.min() < 0.1 or sine @ weight <= 0.0:
                 return math.inf
-            last_found, found = found, float(((cohesion * width + (weight - u * width) * tan) / share).sum())
-            found /= float(sine @ weight)
-        return found
+            last_safety, safety = safety, float(((cohesion * width + (weight - u * width) * tan) / share).sum())
+            safety /= float(sine @ weight)
+        return safety
 
     toe = HEIGHT * cot
     tried = product(
@@ -227,8 +227,8 @@ def test_factors_under_a_pressure_ratio(slope: KnownSlope, ratio: float) -> None
 @pytest.mark.parametrize(("level", "pool"), [(10.0, 10.0), (7.0, 7.0), (3.0, 3.0), (10.0, 5.0), (10.0, 0.0)])
 def test_factors_while_a_pool_is_drawn_down(level: float, pool: float) -> None:
     """Slowly, so that the table follows, and rapidly, so that it stays."""
-    found = safety_factor(with_water(BISHOP, 20, level=level, pool=pool)).factor
-    assert found == pytest.approx(bishop(BISHOP, level=level, pool=pool), rel=0.03)
+    factor = safety_factor(with_water(BISHOP, 20, level=level, pool=pool)).factor
+    assert factor == pytest.approx(bishop(BISHOP, level=level, pool=pool), rel=0.03)
 
 
 @pytest.mark.slow
@@ -236,7 +236,7 @@ def test_factors_while_a_pool_is_drawn_down(level: float, pool: float) -> None:
 def test_a_sheet_slides_against_the_friction_that_water_leaves_it(changes: dict[str, Any]) -> None:
     slope_deg, friction = 25.0, 0.3
     slide = sheet(0.0, slope_deg=slope_deg, friction=friction, **changes)
-    masses = tuple(dataclasses.replace(each, initial_pore_pressure_ratio=None) for each in slide.masses)
+    masses = tuple(dataclasses.replace(mass, initial_pore_pressure_ratio=None) for mass in slide.masses)
     flow = simulate(dataclasses.replace(slide, masses=masses, water=Water(fixed=True)))
     steep = math.radians(slope_deg)
     acceleration = GRAVITY * (math.sin(steep) - (1.0 - DENSITY / SOIL) * friction * math.cos(steep))

@@ -66,9 +66,9 @@ class EndlessLayer:
         for frame in range(1, frames + 1):
             self.state[0] %= self.length
             numbers = self.batch.numbers(0, 0, features.state.size)
-            for k, own in enumerate(self.copies):
-                numbers[:, own] = self.state
-                numbers[0, own] += k * self.length
+            for k, image in enumerate(self.copies):
+                numbers[:, image] = self.state
+                numbers[0, image] += k * self.length
             put_vectors(self.batch.state_of(0), 0, numbers.T)
             step(*self.batch.arguments.values(), 1, 2, Phase.FRAMES)
             self.state = self.batch.numbers(0, 0, features.state.size)[:, self.copies[1]]
@@ -164,7 +164,7 @@ def test_without_growth_and_at_rest_it_is_mohr_coulomb_to_the_bit(limit_deg: flo
     strong = dataclasses.replace(SAND, cohesion=1.0e6, tension_cutoff=1.0e6)
     for sand in (SAND, strong):
         fast = dataclasses.replace(sand, friction_limit_deg=limit_deg, grain_diameter=5e-3)
-        plain, flow = (simulate(box(COLUMN, material=each), record=LAST) for each in (sand, fast))
+        plain, flow = (simulate(box(COLUMN, material=material), record=LAST) for material in (sand, fast))
         if sand is SAND and limit_deg > 30.0:
             assert flow.summary["front"] < plain.summary["front"] - 1e-3
         else:

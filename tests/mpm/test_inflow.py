@@ -61,8 +61,8 @@ def test_a_plug_moves_on_as_it_entered_without_any_stress(section: str) -> None:
         assert not flow.velocities[frame][~inside].any()
         # Mass to a particle: energy of those that have entered, the hydrograph's volume.
         volume = 0.2 * (scene.masses[0].discharge_factor or 1.0) * float(np.clip(time - 0.05, 0.0, 0.25))
-        found = flow.summary["energy"]["kinetic"][frame] / (0.5 * SAND.density)
-        assert found == pytest.approx(volume, abs=0.51 * flow.volumes[0])
+        moving = flow.summary["energy"]["kinetic"][frame] / (0.5 * SAND.density)
+        assert moving == pytest.approx(volume, abs=0.51 * flow.volumes[0])
     assert np.abs(flow.stress).max() < 1e-5 * SAND.modulus
 
 
@@ -79,9 +79,9 @@ def test_a_steady_inflow_on_a_smooth_incline_thins_as_it_speeds_up() -> None:
     assert flow.velocities is not None
     for x in np.arange(0.3, 1.2, 0.2):
         here = np.abs(flow.positions[-5:, :, 0] - x) < 0.1
-        found = flow.velocities[-5:][here][:, 0].mean()
-        assert found == pytest.approx(math.sqrt(speed**2 + 9.81 * (x - 0.1)), rel=0.015)
-        assert here.sum() / 5 * flow.volumes[0] / 0.2 * found == pytest.approx(speed * depth, rel=0.03)
+        mean_speed = flow.velocities[-5:][here][:, 0].mean()
+        assert mean_speed == pytest.approx(math.sqrt(speed**2 + 9.81 * (x - 0.1)), rel=0.015)
+        assert here.sum() / 5 * flow.volumes[0] / 0.2 * mean_speed == pytest.approx(speed * depth, rel=0.03)
 
 
 @pytest.mark.slow
@@ -174,11 +174,11 @@ def test_who_reads_a_flow_leaves_out_what_has_not_entered(flow: Trajectory, tmp_
     assert maps.start is not None
     assert not maps.start.any()
     assert np.nanmin(maps.arrival) > 0.05
-    found = compare(flow, flow)
-    assert np.isnan(found.figures[0]["front"][0])
-    energy = found.figures[0]["kinetic"][1]
+    comparison = compare(flow, flow)
+    assert np.isnan(comparison.figures[0]["front"][0])
+    energy = comparison.figures[0]["kinetic"][1]
     assert energy == pytest.approx(0.5 * SAND.density * begun[1] * flow.volumes[0], rel=0.02)
-    assert found.apart["transport"][-1] == 0.0
+    assert comparison.apart["transport"][-1] == 0.0
     velocity = FlowFields(flow).velocity(1)
     assert velocity is not None
     np.testing.assert_allclose(velocity, flow.velocity0, atol=0.02)

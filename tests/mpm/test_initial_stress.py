@@ -192,7 +192,7 @@ def on_incline(how: str, friction: float, angle_deg: float = 25.0) -> Scene:
     ("how", "angle_deg", "friction"),
     [
         *((how, 25.0, friction) for how in ("slope_deg", "block", "layer") for friction in (0.0, 0.2)),
-        *(("slope_deg", *each) for each in ((10.0, 0.1), (5.0, 0.05), (25.0, 0.5), (10.0, 0.3), (0.0, 0.05))),
+        *(("slope_deg", *pair) for pair in ((10.0, 0.1), (5.0, 0.05), (25.0, 0.5), (10.0, 0.3), (0.0, 0.05))),
     ],
 )
 def test_what_is_unbalanced_is_what_friction_does_not_bear(how: str, angle_deg: float, friction: float) -> None:
@@ -201,9 +201,9 @@ def test_what_is_unbalanced_is_what_friction_does_not_bear(how: str, angle_deg: 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         stress_of(on_incline(how, friction, angle_deg))
-    said = [re.search(r"gravity: (\S+) of the weight", str(each.message)) for each in caught]
+    said = [re.search(r"gravity: (\S+) of the weight", str(warning.message)) for warning in caught]
     close = pytest.approx(exact, abs=0.015 if angle_deg == 25.0 else 0.005)
-    assert [float(each[1]) for each in said if each] == ([close] if exact > 0.0 else [])
+    assert [float(hit[1]) for hit in said if hit] == ([close] if exact > 0.0 else [])
 
 
 @pytest.mark.parametrize(("k0", "cohesion"), [(0.32, 0.0), (3.1, 0.0), (0.19, 100.0)])
@@ -227,7 +227,7 @@ def test_a_thrust_that_no_stress_has_is_said() -> None:
 
 @pytest.mark.parametrize(
     ("k0", "face", "dimension"),
-    [(2.9, 0.6, 2), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.34, 0.6125, 2), (0.36, 0.6, 3)))],
+    [(2.9, 0.6, 2), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.34, 0.6125, 2), (0.36, 0.6, 3)))],
 )
 def test_a_bed_presses_on_a_baffle_with_its_ratio_up_to_the_limits_of_yield(
     k0: float, face: float, dimension: int

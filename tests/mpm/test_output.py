@@ -61,10 +61,10 @@ def test_smoothing_keeps_constants_and_integrals() -> None:
     volume = stream.uniform(0.5, 1.5, positions.shape[1])
     one = np.ones_like(values)
     np.testing.assert_allclose(smoothed(one, positions, volume, scene), 1.0, rtol=1e-6)
-    found = smoothed(values, positions, volume, scene)
-    np.testing.assert_allclose(volume @ found[0], volume @ values[0], rtol=1e-4)
-    assert found.std() < 0.3 * values.std()
-    np.testing.assert_allclose(smoothed(values[:, :, 0], positions, volume, scene), found[:, :, 0], rtol=1e-5)
+    smooth = smoothed(values, positions, volume, scene)
+    np.testing.assert_allclose(volume @ smooth[0], volume @ values[0], rtol=1e-4)
+    assert smooth.std() < 0.3 * values.std()
+    np.testing.assert_allclose(smoothed(values[:, :, 0], positions, volume, scene), smooth[:, :, 0], rtol=1e-5)
     # A spline reproduces linear functions.
     nodes = weights(positions[0], scene)
     x = (np.arange(50 + 7) - 3) * 0.02

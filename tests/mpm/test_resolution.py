@@ -42,20 +42,20 @@ def test_a_tolerance_is_a_percentage_or_a_fraction(text: str, value: float) -> N
 
 
 def test_the_cheapest_within_the_tolerance_is_picked() -> None:
-    known = [
+    measurements = [
         measured(10, 0.06, 1.0),
         measured(20, 0.03, 8.0),
         measured(40, 0.015, 64.0),
         measured(15, 0.028, 9.0, points=3),
     ]
-    assert resolved(COLUMN, 0.05, known).cells == 20.0
-    assert resolved(COLUMN, 0.029, known).scene.particles_per_axis == 3
-    assert resolved(COLUMN, 0.015, known).cells == 40.0
+    assert resolved(COLUMN, 0.05, measurements).cells == 20.0
+    assert resolved(COLUMN, 0.029, measurements).scene.particles_per_axis == 3
+    assert resolved(COLUMN, 0.015, measurements).cells == 40.0
 
 
 def test_a_tolerance_below_the_best_is_refused_with_the_best() -> None:
-    known = [measured(10, 0.06, 1.0), measured(40, 0.021, 64.0), measured(10, 0.001, 1.0, dimension=3)]
-    refused(resolved, COLUMN, 0.02, known, said="--tolerance: expected at least 2.1% in 2D")
+    measurements = [measured(10, 0.06, 1.0), measured(40, 0.021, 64.0), measured(10, 0.001, 1.0, dimension=3)]
+    refused(resolved, COLUMN, 0.02, measurements, said="--tolerance: expected at least 2.1% in 2D")
 
 
 @pytest.mark.parametrize("lengths", [(1.0, 1.0), (1.81, 0.83), (0.96, 0.36)])
@@ -85,8 +85,8 @@ def test_masses_that_touch_are_one_body_and_a_side_from_wall_to_wall_does_not_co
     ("name", "dimension"), [("column-tall-21", 2), ("layers-10", 2), ("baffles-2", 3), ("baffles-5", 3)]
 )
 def test_what_ships_resolves_every_shipped_kind_of_scene(name: str, dimension: int) -> None:
-    known = [each for each in read_measured() if each.dimension == dimension]
-    loosest, tightest = (pick(each.promised for each in known) for pick in (max, min))
+    measurements = [measurement for measurement in read_measured() if measurement.dimension == dimension]
+    loosest, tightest = (pick(measurement.promised for measurement in measurements) for pick in (max, min))
     loose, tight = (resolved(read_scene(name), tolerance) for tolerance in (loosest, 1.2 * tightest))
     assert loose.scene.dimension == dimension
     assert tight.measured.promised <= 1.2 * tightest

@@ -116,7 +116,7 @@ def scale_of(material: Material, stresses: Vector) -> Vector:
 
 def test_the_return_is_the_one_solution_of_the_complementarity_problem(table: list[Material]) -> None:
     """Enumeration finds a solution everywhere, only one, and it is the closed form; to 1e-9 of the stress."""
-    random, found = np.random.default_rng(1), set()
+    random, corners = np.random.default_rng(1), set()
     for material in table:
         trial = trials(material, random, 240)
         scale = scale_of(material, trial)
@@ -126,9 +126,9 @@ def test_the_return_is_the_one_solution_of_the_complementarity_problem(table: li
         assert (np.abs(ours - exact).max(axis=1) / scale).max() < 1e-9, material
         normals, _, limits = surfaces(material)
         active = np.isclose(exact @ normals.T, limits, rtol=0.0, atol=1e-9 * unit(material))
-        found |= {tuple(row) for row in active.tolist()}
+        corners |= {tuple(row) for row in active.tolist()}
     # Every kind of corner was there: none, plane, edges, cutoff with one, two, three stresses, and their meetings.
-    assert len(found) >= 12
+    assert len(corners) >= 12
 
 
 def test_what_opening_cost_is_the_mean_that_dilation_did_not_take(table: list[Material]) -> None:

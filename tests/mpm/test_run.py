@@ -72,7 +72,7 @@ def test_a_folder_that_is_none_is_refused_before_the_run(
 
 def test_a_flow_on_a_map_is_the_same_to_the_bit(tmp_path: Path) -> None:
     """2,600 km east and 2,000 m up, where single precision has steps of 0.25 m; its summary is on the map."""
-    found = []
+    flows = []
     for name, east, up in (("own", 0.0, 0.0), ("map", 2_600_000.0, 2_000.0)):
         line = f"points = [[{east}, {up + 0.15}], [{east + 1.0}, {up}]]"
         text = SHORT.replace("lower = [0.0, 0.0]", f"lower = [{east}, {up + 0.15}]")
@@ -80,12 +80,12 @@ def test_a_flow_on_a_map_is_the_same_to_the_bit(tmp_path: Path) -> None:
         folder = tmp_path / name
         folder.mkdir()
         assert ran(folder, f'{text}[[solids]]\nkind = "terrain"\n{line}\n') == 0
-        found.append(Trajectory.load(folder / "out" / "trajectory.npz"))
-    np.testing.assert_array_equal(*(flow.positions for flow in found))
-    one, other = (flow.summary for flow in found)
+        flows.append(Trajectory.load(folder / "out" / "trajectory.npz"))
+    np.testing.assert_array_equal(*(flow.positions for flow in flows))
+    one, other = (flow.summary for flow in flows)
     assert other["front"] - 2_600_000.0 == pytest.approx(one["front"], abs=1e-6)
     assert np.array(other["toe"]) - [2_600_000.0, 2_000.0] == pytest.approx(np.array(one["toe"]), abs=1e-6)
-    assert found[1].scene.domain.origin == (2_600_000.0, 2_000.0)
+    assert flows[1].scene.domain.origin == (2_600_000.0, 2_000.0)
 
 
 @pytest.mark.slow

@@ -23,17 +23,17 @@ UNDRAINED = dataclasses.replace(TAYLOR, cohesion=2.0 * TAYLOR.cohesion)
 @pytest.mark.parametrize(("slope", "cells"), [*((slope, 20) for slope in KNOWN), (SAND, 10)])
 def test_known_slopes_within_three_percent(slope: KnownSlope, cells: int) -> None:
     """Sand on ten cells creeps by thirty elastic settlements already where it stands."""
-    found = safety_factor(slope.scene(cells))
-    assert found.factor == pytest.approx(slope.factor, rel=0.03)
-    assert found.stands < found.factor < found.moves < 1.021 * found.stands
+    safety = safety_factor(slope.scene(cells))
+    assert safety.factor == pytest.approx(slope.factor, rel=0.03)
+    assert safety.stands < safety.factor < safety.moves < 1.021 * safety.stands
 
 
 def test_the_command_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_scene(UNDRAINED.scene(8), tmp_path / "slope.toml")
     assert command(str(tmp_path / "slope.toml"), out=tmp_path, safety=True) == 0
-    found = json.loads((tmp_path / "safety.json").read_text())
-    assert found["factor"] == pytest.approx(2.0, rel=0.1)
-    assert f"factor of safety {found['factor']:.3f}: stands at" in capsys.readouterr().out
+    result = json.loads((tmp_path / "safety.json").read_text())
+    assert result["factor"] == pytest.approx(2.0, rel=0.1)
+    assert f"factor of safety {result['factor']:.3f}: stands at" in capsys.readouterr().out
     wrong = {"out": tmp_path, "safety": True, "vtk": True}
     refused(command, str(tmp_path / "slope.toml"), **wrong, said="--vtk: expected none beside --safety")
 

@@ -71,8 +71,8 @@ def test_a_free_body_keeps_its_angular_momentum() -> None:
     scene = box(bar, material=FIRM, gravity=0.0, duration=0.1, volume_correction=False)
     flow = simulate(scene, precision="f64", record=WITH_FIELDS)
     x, v = (
-        each.astype(np.float64) - each.mean(axis=1, dtype=np.float64, keepdims=True)
-        for each in (flow.positions, flow.velocities)
+        vectors.astype(np.float64) - vectors.mean(axis=1, dtype=np.float64, keepdims=True)
+        for vectors in (flow.positions, flow.velocities)
     )
     spin = (x[..., 0] * v[..., 1] - x[..., 1] * v[..., 0]).mean(axis=1)
     np.testing.assert_allclose(spin, spin[0], rtol=1e-3)
@@ -86,7 +86,7 @@ def test_an_elastic_bar_rings_with_its_period() -> None:
     flow = simulate(bar, precision="f64", record=WITH_FIELDS)
     wave = StandingWave.of_bar(flow)
     whole = flow.time * wave.omega < 2.0 * math.pi * math.floor(bar.duration * wave.omega / (2.0 * math.pi))
-    x, v = (each[whole, :, 0].astype(np.float64) for each in (flow.positions, flow.velocities))
+    x, v = (vectors[whole, :, 0].astype(np.float64) for vectors in (flow.positions, flow.velocities))
     assert np.std(v @ wave.shape) / np.std((x - x[0]) @ wave.shape) == pytest.approx(wave.omega, rel=0.03)
 
 

@@ -81,9 +81,9 @@ def bed(heights: NDArray[np.float64], spacing: float) -> Bed:
 def test_the_bed_of_a_plane_is_the_plane(spacing: float) -> None:
     """In any direction, wherever points lie, for posts closer than the lattice of the bed or farther apart."""
     x, z = spacing * np.arange(round(1.2 / spacing) + 2), spacing * np.arange(round(0.6 / spacing) + 2)
-    found = bed(0.5 - 0.3 * x[:, None] + 0.2 * z, spacing)
+    ground = bed(0.5 - 0.3 * x[:, None] + 0.2 * z, spacing)
     points = np.random.default_rng(0).uniform(0.05, [1.15, 0.8, 0.55], (200, 3))
-    d, normal, _ = found.contact(points, np.full((1, 1), 0.4))
+    d, normal, _ = ground.contact(points, np.full((1, 1), 0.4))
     facing = np.array([0.3, 1.0, -0.2]) / math.sqrt(1.13)
     np.testing.assert_allclose(d, (points - [0.0, 0.5, 0.0]) @ facing, atol=1.0e-12)
     np.testing.assert_allclose(normal, np.broadcast_to(facing, normal.shape), atol=1.0e-12)
@@ -93,10 +93,10 @@ def test_the_bed_of_a_plane_is_the_plane(spacing: float) -> None:
 def test_a_crease_is_rounded_by_a_quarter_of_the_lattice_times_its_change_of_slope_at_most(shift: float) -> None:
     """A valley with slopes of 0.5 to both sides; half a cell away from its line the bed is the raster's."""
     posts, line = 0.0125 * np.arange(98), 0.6 + shift * CELL
-    found = bed(0.2 + 0.5 * np.abs(posts[:, None] - line) + np.zeros(50), 0.0125)
+    ground = bed(0.2 + 0.5 * np.abs(posts[:, None] - line) + np.zeros(50), 0.0125)
     x = np.linspace(0.3, 0.9, 601)
     points = np.stack([x, 0.0 * x, 0.3 + 0.0 * x], axis=1)
-    d, normal, _ = found.contact(points, np.full((1, 1), 0.4))
+    d, normal, _ = ground.contact(points, np.full((1, 1), 0.4))
     raised = -d / normal[:, 1] - (0.2 + 0.5 * np.abs(x - line))
     assert raised.min() > -1.0e-12
     assert 0.1 < raised.max() / (0.5 * CELL) <= 0.25 + 1.0e-9
@@ -105,10 +105,12 @@ def test_a_crease_is_rounded_by_a_quarter_of_the_lattice_times_its_change_of_slo
 
 def test_friction_goes_to_the_bed_and_back_to_the_posts() -> None:
     rng = np.random.default_rng(2)
-    found = bed(0.2 * rng.random((14, 8)), 0.1)
-    posts, adjoint = rng.random(found.field.heights.shape), rng.random(found.heights.shape)
-    assert (found.at_nodes(posts) * adjoint).sum() == pytest.approx((posts * found.to_posts(adjoint)).sum(), rel=1e-12)
-    assert found.at_nodes(np.full_like(posts, 0.3)) == pytest.approx(0.3)
+    ground = bed(0.2 * rng.random((14, 8)), 0.1)
+    posts, adjoint = rng.random(ground.field.heights.shape), rng.random(ground.heights.shape)
+    assert (ground.at_nodes(posts) * adjoint).sum() == pytest.approx(
+        (posts * ground.to_posts(adjoint)).sum(), rel=1e-12
+    )
+    assert ground.at_nodes(np.full_like(posts, 0.3)) == pytest.approx(0.3)
 
 
 WAVES = tuple(
@@ -191,10 +193,10 @@ def test_holds_of_nodes_are_continuous_in_the_place_of_the_solids(dimension: int
         moved = dataclasses.replace(whole, corners=whole.corners + shift)
         first, holds = holds_of(whole_box(scene.domain), moved, nodes, cutoff=2.0)
         normal = moved.normals[holds[:, 0].astype(int)]
-        found = np.zeros((len(nodes), dimension, dimension))
+        taken = np.zeros((len(nodes), dimension, dimension))
         node = np.repeat(nodes, np.diff(first))
-        np.add.at(found, node, holds[:, 2, None, None] * normal[:, :, None] * normal[:, None, :])
-        return found
+        np.add.at(taken, node, holds[:, 2, None, None] * normal[:, :, None] * normal[:, None, :])
+        return taken
 
     here = removed(0.0)
     depth = -nearest(whole, whole_box(scene.domain).positions(nodes)).distance / CELL

@@ -385,12 +385,12 @@ def test_scenes_that_water_cannot_be_in_are_refused() -> None:
 def test_what_knows_no_water_says_so() -> None:
     scene = layer(None)
     features = features_of([scene], "f32")
-    found = (
+    errors = (
         refused(check, scene, ModelSettings(dimension=2)),
         refused(features_of, [scene], "f32", gpu=True),
         refused(known_to_adjoint, features),
     )
-    assert {each.key for each in found} == {"material.saturated"}
+    assert {error.key for error in errors} == {"material.saturated"}
 
 
 def test_an_inversion_sets_the_water() -> None:

@@ -17,10 +17,10 @@ def test_a_run_and_one_over_it(tmp_path: Path) -> None:
         toy(2).save(tmp_path / name / "trajectory.npz")
     assert run(command, "view", [str(tmp_path / "mpm")]) == 0
     page = tmp_path / "mpm" / "view.html"
-    assert [each["label"] for each in parts(page)[0]["runs"]] == ["mpm"]
+    assert [entry["label"] for entry in parts(page)[0]["runs"]] == ["mpm"]
     other = tmp_path / "both.html"
     assert run(command, "view", [str(tmp_path / "mpm"), str(tmp_path / "gns"), "--out", str(other)]) == 0
-    assert [each["label"] for each in parts(other)[0]["runs"]] == ["mpm", "gns"]
+    assert [entry["label"] for entry in parts(other)[0]["runs"]] == ["mpm", "gns"]
 
 
 def test_an_inversion_shows_its_answer_over_what_was_observed(tmp_path: Path) -> None:
@@ -32,9 +32,9 @@ def test_an_inversion_shows_its_answer_over_what_was_observed(tmp_path: Path) ->
     toy(2).save(tmp_path / "mpm" / "1.0.npz")
     toy(2, seed=1).save(tmp_path / "mpm" / "target-01-abc.npz")
     assert run(command, "view", [str(tmp_path)]) == 0
-    found = parts(tmp_path / "view.html")[0]
-    assert [each["label"] for each in found["runs"]] == ["MPM at the answer", "observed"]
-    assert found["observed"] == {"front": 0.25, **profile}
+    head = parts(tmp_path / "view.html")[0]
+    assert [entry["label"] for entry in head["runs"]] == ["MPM at the answer", "observed"]
+    assert head["observed"] == {"front": 0.25, **profile}
 
 
 def test_a_mistake_is_one_line_that_names_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

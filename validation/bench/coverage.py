@@ -137,9 +137,9 @@ def bench(
         }
         solve_missing(asked, jobs)
         every = {family: twins_in(folder / name) for name, family in FAMILIES.items()}
-    found = {family: some for family, some in every.items() if some}
-    draw(out / "coverage.png", found)
-    return written(out, found)
+    groups = {family: some for family, some in every.items() if some}
+    draw(out / "coverage.png", groups)
+    return written(out, groups)
 
 
 def solve_missing(asked: Mapping[Path, tuple[Family, int, Path | None]], jobs: int | None) -> None:
@@ -167,12 +167,12 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
     with kept(None) as folder:
         if family.outlier != 0.0:
             target = misread(read_target(problem, lambda scene: simulate([scene])[0]), family.outlier, number)
-            found = run(Task(problem=problem, target=target, folder=folder, simulate=simulate))
+            result = run(Task(problem=problem, target=target, folder=folder, simulate=simulate))
         else:
             out = None if family.forecast is None else folder / "loop"
-            found = solve(problem, out, simulate=simulate, model=model if family.adapted else None)
+            result = solve(problem, out, simulate=simulate, model=model if family.adapted else None)
         forecast = {} if family.forecast is None else forecasts(family, number, problem, folder / "loop", simulate)
-    posterior, box = found.posterior, problem.box
+    posterior, box = result.posterior, problem.box
     assert posterior is not None, "of numbers"
     where, samples = posterior.region.sampled, posterior.samples
     values = np.array([problem.target.truth[name] for name in problem.names])
@@ -183,11 +183,11 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
         seed=FIRST_SEED + number,
         denser=float(samples.weights[samples.log_likelihood > density].sum()),
         below=problem.named(samples.weights @ (samples.points < point)),
-        inside=max(int(each.holds(values).sum()) for each in found.answers),
-        answers=len(found.answers),
-        verdict=found.verdict.value,
-        runs=len(found.mpm_runs),
-        seconds=found.seconds["total"],
+        inside=max(int(answer.holds(values).sum()) for answer in result.answers),
+        answers=len(result.answers),
+        verdict=result.verdict.value,
+        runs=len(result.mpm_runs),
+        seconds=result.seconds["total"],
         forecast=forecast,
     )
 
@@ -195,13 +195,13 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
 def forecasts(family: Family, number: int, problem: Problem, result: Path, simulate: Simulate) -> dict[str, bool]:
     """Whether the intervals of a forecast by the posterior in `result` hold the numbers of the flow with the truth."""
     scene = replace(read_scene(Path(__file__).parent / str(family.forecast)), seed=FIRST_SEED + number)
-    found = forecast_scene(result, scene, simulate=simulate)
+    prediction = forecast_scene(result, scene, simulate=simulate)
     # Further jitter seeds than those of the draws.
     true = at(scene, problem.names, np.array([problem.target.truth[name] for name in problem.names]), number)
     if family.finer is not None:
         true = true.with_cell(family.finer * true.domain.cell)
     (flow,) = simulate([true], record=recording_of(scene))
-    ends = {name: quantiles(values, 0.95) for name, values in found.predicted.items()}
+    ends = {name: quantiles(values, 0.95) for name, values in prediction.predicted.items()}
     return {name: bool(ends[name][0] <= value <= ends[name][-1]) for name, value in numbers_of(flow).items()}
 
 
@@ -220,7 +220,7 @@ def drawn(family: Family, number: int) -> Problem:
     rng = np.random.default_rng([FIRST_SEED, number])
     if family.priors:
         both = zip(asked.parameters, family.priors, strict=True)
-        asked = replace(asked, parameters=tuple(replace(each, prior=prior) for each, prior in both))
+        asked = replace(asked, parameters=tuple(replace(parameter, prior=prior) for parameter, prior in both))
     if family.correlation is not None:
         pair = Correlation(between=(asked.names[0], asked.names[-1]), coefficient=family.correlation)
         asked = replace(asked, correlations=(pair,))
@@ -231,81 +231,81 @@ def drawn(family: Family, number: int) -> Problem:
         scene = scene.with_cell(family.cell)
     observations = asked.observations
     if family.noise is not None:
-        observations = tuple(replace(each, noise=family.noise) for each in observations)
+        observations = tuple(replace(observation, noise=family.noise) for observation in observations)
     cell = None if family.finer is None else family.finer * scene.domain.cell
     target = TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth, cell=cell)
     return replace(asked, scene=scene, observations=observations, target=target, surrogate=family.surrogate)
 
 
-def written(out: Path, found: Mapping[Family, Sequence[Twin]]) -> str:
+def written(out: Path, groups: Mapping[Family, Sequence[Twin]]) -> str:
     """Write the page of all twins that were solved, by their families, and return its conclusion."""
-    every = [each for twins in found.values() for each in twins]
-    said = [f"{len(every)} inversions with known parameters, of {len(found)} kinds, test the stated uncertainty."]
+    every = [twin for twins in groups.values() for twin in twins]
+    said = [f"{len(every)} inversions with known parameters, of {len(groups)} kinds, test the stated uncertainty."]
     for level, (low, high) in WITHIN.items():
-        shares = {family.title: held(twins, level) for family, twins in found.items()}
+        shares = {family.title: held(twins, level) for family, twins in groups.items()}
         beyond = [title for title, share in shares.items() if not low <= share <= high]
         said.append(
             f"The {level:.0%} regions contain the true parameters in {held(every, level):.0%} of all cases;"
-            f" {len(found) - len(beyond)} of {len(found)} kinds lie within {low:.0%} to {high:.0%}, as chance allows."
+            f" {len(groups) - len(beyond)} of {len(groups)} kinds lie within {low:.0%} to {high:.0%}, as chance allows."
         )
-    uneven = [family.title for family, twins in found.items() if uniformity(twins) < SIGNIFICANT]
+    uneven = [family.title for family, twins in groups.items() if uniformity(twins) < SIGNIFICANT]
     kinds = "; ".join(uneven) or "none"
     said.append(f"Kinds whose truths are unevenly distributed over the posterior (p below {SIGNIFICANT:g}): {kinds}.")
-    flags = "".join(f" --only {name}" for name, family in FAMILIES.items() if family in found)
-    flags += " --model RUN" * any(family.adapted for family in found)
-    rows = [row(family, twins) for family, twins in found.items()]
+    flags = "".join(f" --only {name}" for name, family in FAMILIES.items() if family in groups)
+    flags += " --model RUN" * any(family.adapted for family in groups)
+    rows = [row(family, twins) for family, twins in groups.items()]
     return write_page(out, "coverage", said, flags=flags, bins=BINS, twins=rows)
 
 
-def held(found: Sequence[Twin], level: float) -> float:
+def held(twins: Sequence[Twin], level: float) -> float:
     """Share of the truths within the region of `level`."""
-    return float(np.mean([each.denser <= level for each in found]))
+    return float(np.mean([twin.denser <= level for twin in twins]))
 
 
-def uniformity(found: Sequence[Twin]) -> float:
+def uniformity(twins: Sequence[Twin]) -> float:
     """p-value of the share that is denser than the truth, if it were uniform."""
-    return float(kstest([each.denser for each in found], "uniform").pvalue)
+    return float(kstest([twin.denser for twin in twins], "uniform").pvalue)
 
 
-def ranks(found: Sequence[Twin]) -> float:
+def ranks(twins: Sequence[Twin]) -> float:
     """Least p-value over the numbers of their ranks, if these were uniform, times how many there are."""
     counts = [
-        np.histogram([each.below[name] for each in found], bins=BINS, range=(0.0, 1.0))[0] for name in found[0].below
+        np.histogram([twin.below[name] for twin in twins], bins=BINS, range=(0.0, 1.0))[0] for name in twins[0].below
     ]
-    return min(1.0, len(counts) * float(min(chisquare(each).pvalue for each in counts)))
+    return min(1.0, len(counts) * float(min(chisquare(count).pvalue for count in counts)))
 
 
-def row(family: Family, found: Sequence[Twin]) -> Row:
+def row(family: Family, twins: Sequence[Twin]) -> Row:
     within = []
     for level in REGIONS:
-        share, (low, high) = held(found, level), WITHIN.get(level, (0.0, 1.0))
+        share, (low, high) = held(twins, level), WITHIN.get(level, (0.0, 1.0))
         within.append(emphasised(f"{share:.0%}", low <= share <= high))
-    inside = sum(each.inside for each in found) / (len(found[0].below) * len(found))
+    inside = sum(twin.inside for twin in twins) / (len(twins[0].below) * len(twins))
     return {
-        "inversions": f"{family.title}: {len(found)}",
+        "inversions": f"{family.title}: {len(twins)}",
         "truths in the " + " / ".join(f"{level:.0%}" for level in REGIONS) + " region": " / ".join(within),
-        "p, regions / ranks": f"{uniformity(found):.2g} / {ranks(found):.2g}",
+        "p, regions / ranks": f"{uniformity(twins):.2g} / {ranks(twins):.2g}",
         "numbers in their intervals": f"{inside:.0%}",
-        **({"numbers in the 95 % intervals of a forecast": forecast(found)} if found[0].forecast else {}),
-        "confirmed": f"{sum(each.verdict == 'confirmed' for each in found)} of {len(found)}",
-        "MPM runs": f"{np.median([each.runs for each in found]):.0f}",
-        "seconds": f"{np.median([each.seconds for each in found]):.0f}",
+        **({"numbers in the 95 % intervals of a forecast": forecast(twins)} if twins[0].forecast else {}),
+        "confirmed": f"{sum(twin.verdict == 'confirmed' for twin in twins)} of {len(twins)}",
+        "MPM runs": f"{np.median([twin.runs for twin in twins]):.0f}",
+        "seconds": f"{np.median([twin.seconds for twin in twins]):.0f}",
     }
 
 
-def forecast(found: Sequence[Twin]) -> str:
+def forecast(twins: Sequence[Twin]) -> str:
     """Share of the flows of another scene whose numbers lie in the intervals of their forecasts, by number."""
-    names = list(dict.fromkeys(name for each in found for name in each.forecast))
-    return ", ".join(f"{name} {np.mean([each.forecast[name] for each in found]):.0%}" for name in names)
+    names = list(dict.fromkeys(name for twin in twins for name in twin.forecast))
+    return ", ".join(f"{name} {np.mean([twin.forecast[name] for twin in twins]):.0%}" for name in names)
 
 
-def draw(path: Path, found: Mapping[Family, Sequence[Twin]]) -> None:
+def draw(path: Path, groups: Mapping[Family, Sequence[Twin]]) -> None:
     """Share of the truths in the region over the region's share: on the diagonal where the posterior is right."""
     levels = np.linspace(0.0, 1.0, 101)
     with figure(path, size=(5.0, 4.0)) as axes:
         axis = axes[0, 0]
         axis.plot(levels, levels, color=GREY, linewidth=0.8)
-        for family, twins in found.items():
+        for family, twins in groups.items():
             axis.plot(levels, [held(twins, level) for level in levels], label=family.title, linewidth=1.2)
         axis.set(xlabel="share of the posterior in the region", ylabel="share of the truths in it")
         axis.legend()

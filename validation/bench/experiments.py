@@ -123,28 +123,28 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
     read = read_experiments(experiments)
     with kept(keep) as folder:
         store = RunStore(folder)
-        found = [compute(each, case, store.run) for each in read for case in each.cases]
+        computed = [compute(experiment, case, store.run) for experiment in read for case in experiment.cases]
         predicted = {
-            f"{each.name}, {prediction.name}": (each, forecast(each, prediction, store.run))
-            for each in read
-            for prediction in each.predictions
+            f"{experiment.name}, {prediction.name}": (experiment, forecast(experiment, prediction, store.run))
+            for experiment in read
+            for prediction in experiment.predictions
         }
-    scores = [row for rows, _ in found for row in rows]
-    inferred = [each for _, each in found if each is not None]
+    scores = [row for rows, _ in computed for row in rows]
+    inferred = [angle for _, angle in computed if angle is not None]
     firsts = [first for first, *_ in scores]
-    draw(out / "experiments.png", [each for each in firsts if each.measured.single])
-    beyond = [each for each in firsts if not each.agrees]
-    reasons = [f"- {each.label}: {each.measured.explanation or 'No reason is known.'}" for each in beyond]
-    sources = [f"- `{each.name}`: {each.source} ({each.licence})." for each in read]
+    draw(out / "experiments.png", [score for score in firsts if score.measured.single])
+    beyond = [score for score in firsts if not score.agrees]
+    reasons = [f"- {score.label}: {score.measured.explanation or 'No reason is known.'}" for score in beyond]
+    sources = [f"- `{experiment.name}`: {experiment.source} ({experiment.licence})." for experiment in read]
     return write_page(
         out,
         "experiments",
         conclusion(firsts, inferred),
         close=CLOSE,
-        scores=[score_row(*each) for each in scores],
+        scores=[score_row(*row) for row in scores],
         reasons="\n".join(reasons),
-        inferred=[inferred_row(each) for each in inferred],
-        predictions="\n\n".join(section(label, *each, out) for label, each in predicted.items()),
+        inferred=[inferred_row(angle) for angle in inferred],
+        predictions="\n\n".join(section(label, *pair, out) for label, pair in predicted.items()),
         sources="\n".join(sources),
     )
 
@@ -162,11 +162,11 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
     record = replace(AT_REST, frames=RECORDED) if timed else AT_REST
 
     def run(cells: int, angles: Sequence[Reading]) -> dict[Reading, Trajectory]:
-        runs = [Run(scene=experiment.scene(case, cells, each), record=record) for each in angles]
+        runs = [Run(scene=experiment.scene(case, cells, reading), record=record) for reading in angles]
         return dict(zip(angles, simulate(runs), strict=True))
 
     coarse = run(0, list(dict.fromkeys((*ladder, *readings))))
-    angle, slope = crossing({each.deg: quantity(extent, coarse[each]) for each in ladder}, extent.value)
+    angle, slope = crossing({reading.deg: quantity(extent, coarse[reading]) for reading in ladder}, extent.value)
     # On the fine cells at the first angle that was measured, else at the one that the coarse cells imply.
     first = first if readings else replace(first, deg=angle)
     if math.isnan(first.deg):
@@ -185,30 +185,30 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
         fine |= run(1, [again])
 
     def score(measured: Measured, reading: Reading) -> CaseScore:
-        known = [quantity(measured, flows[reading]) if reading in flows else math.nan for flows in (coarse, fine)]
+        computed = [quantity(measured, flows[reading]) if reading in flows else math.nan for flows in (coarse, fine)]
         return CaseScore(
             label=f"{inferred.label}, {measured.quantity}",
             measured=measured,
             angle=str(reading),
             independent=bool(readings),
-            coarse=known[0],
-            fine=known[0] if reading not in fine else known[1],
+            coarse=computed[0],
+            fine=computed[0] if reading not in fine else computed[1],
         )
 
     numbers = case.measured if readings else case.measured[1:]
-    return [[score(each, reading) for reading in readings or (again,)] for each in numbers], inferred
+    return [[score(measured, reading) for reading in readings or (again,)] for measured in numbers], inferred
 
 
 def forecast(experiment: Experiment, prediction: Prediction, simulate: Simulate) -> list[Predicted]:
     """Every variant on the coarse cells, then on the fine ones."""
-    found = []
+    predicted = []
     for number, variant in itertools.product((0, 1), prediction.variants):
         scene = experiment.predicted(prediction, number, variant)
         (flow,) = simulate([Run(scene=scene, record=ALL)])
-        x, time = tuple(prediction.start + each for each in prediction.gauges), tuple(flow.time.tolist())
+        x, time = tuple(prediction.start + gauge for gauge in prediction.gauges), tuple(flow.time.tolist())
         heights = GaugesSettings(x=x, times=time, spacing=prediction.spacing).operator(scene).observe(flow)
         arrivals = ArrivalSettings(x=x).operator(scene).observe(flow)
-        found.append(
+        predicted.append(
             Predicted(
                 variant=variant.name,
                 cell=scene.domain.cell,
@@ -219,37 +219,43 @@ def forecast(experiment: Experiment, prediction: Prediction, simulate: Simulate)
                 arrivals=np.where(arrivals < time[-1], arrivals, math.nan),
             )
         )
-    return found
+    return predicted
 
 
-def section(label: str, experiment: Experiment, found: Sequence[Predicted], out: Path) -> str:
+def section(label: str, experiment: Experiment, predictions: Sequence[Predicted], out: Path) -> str:
     """A prediction on the page, and its picture beside it."""
     picture = f"experiments-{experiment.name}.png"
     with figure(out / picture, size=(4.8, 3.4), columns=2) as axes:
-        finest = [each for each in found if each.cell == found[-1].cell]
-        for each, colour in zip(finest, (BLUE, ORANGE, INK, LIGHT_BLUE), strict=False):
-            axes[0, 0].plot(each.time, each.front, color=colour, label=each.variant)
-            for at, series, style in zip(each.gauges, each.thickness, ("-", "--", ":", "-."), strict=False):
-                axes[0, 1].plot(each.time, series, style, color=colour, label=f"{at:g} m, {each.variant}")
+        finest = [predicted for predicted in predictions if predicted.cell == predictions[-1].cell]
+        for predicted, colour in zip(finest, (BLUE, ORANGE, INK, LIGHT_BLUE), strict=False):
+            axes[0, 0].plot(predicted.time, predicted.front, color=colour, label=predicted.variant)
+            for at, series, style in zip(predicted.gauges, predicted.thickness, ("-", "--", ":", "-."), strict=False):
+                axes[0, 1].plot(predicted.time, series, style, color=colour, label=f"{at:g} m, {predicted.variant}")
         axes[0, 0].set(xlabel="time [s]", ylabel="front from the gate [m]")
         axes[0, 1].set(xlabel="time [s]", ylabel="thickness [m]")
         for axis in axes.flat:
             axis.legend()
     rows: list[Row] = []
-    for each in found:
-        row = {"with": each.variant, "cell [m]": f"{each.cell:g}"}
-        for at, arrival, series in zip(each.gauges, each.arrivals, each.thickness, strict=True):
+    for predicted in predictions:
+        row = {"with": predicted.variant, "cell [m]": f"{predicted.cell:g}"}
+        for at, arrival, series in zip(predicted.gauges, predicted.arrivals, predicted.thickness, strict=True):
             row[f"front at {at:g} m [s]"] = "-" if math.isnan(arrival) else f"{arrival:.2f}"
-            row[f"thickest at {at:g} m [m]"] = f"{series.max():.3f} at {each.time[series.argmax()]:.1f} s"
-        rows.append({**row, "farthest front [m]": f"{each.front.max():.1f}"})
-    half = len(found) // 2
+            row[f"thickest at {at:g} m [m]"] = f"{series.max():.3f} at {predicted.time[series.argmax()]:.1f} s"
+        rows.append({**row, "farthest front [m]": f"{predicted.front.max():.1f}"})
+    half = len(predictions) // 2
     moved = [
-        abs(fine.arrivals / coarse.arrivals - 1.0) for coarse, fine in zip(found[:half], found[half:], strict=True)
+        abs(fine.arrivals / coarse.arrivals - 1.0)
+        for coarse, fine in zip(predictions[:half], predictions[half:], strict=True)
     ]
     said = f"Half the cell moves the arrivals by at most {percent(float(np.max(moved)))}."
-    choices = [f"- {each['what']}: {each['choice']}; {each['reason']}." for each in experiment.assumptions]
+    choices = [
+        f"- {assumption['what']}: {assumption['choice']}; {assumption['reason']}."
+        for assumption in experiment.assumptions
+    ]
     variants = [
-        f"- {each.name}: {each.source}." for prediction in experiment.predictions for each in prediction.variants
+        f"- {variant.name}: {variant.source}."
+        for prediction in experiment.predictions
+        for variant in prediction.variants
     ]
     parts = [f"### {label}", f"{experiment.title}. {experiment.what}", tables([rows]), said, f"![{label}]({picture})"]
     return "\n\n".join([*parts, "\n".join([*variants, *choices])])
@@ -276,53 +282,53 @@ def score_row(score: CaseScore, *others: CaseScore) -> Row:
         "coarse cells [m]": "-" if math.isnan(score.coarse) else f"{score.coarse:.4f}",
         "fine cells [m]": f"{score.fine:.4f}",
         "error [spreads]": emphasised(f"{score.error:+.1f}", score.agrees),
-        "at the other angle": ", ".join(f"{each.error:+.1f} at {each.angle}" for each in others),
+        "at the other angle": ", ".join(f"{other.error:+.1f} at {other.angle}" for other in others),
     }
 
 
-def inferred_row(each: Inferred) -> Row:
+def inferred_row(inferred: Inferred) -> Row:
     return {
-        "experiment": each.label,
-        "measured": f"{own.deg:.1f} ± {own.half_width_deg:.1f}° ({own.name})" if (own := each.own) else "",
-        "inferred": f"{each.deg:.1f} ± {each.half_width_deg:.1f}°",
-        "difference [°]": "-" if each.own is None else f"{each.difference_deg:+.1f}",
+        "experiment": inferred.label,
+        "measured": f"{angle.deg:.1f} ± {angle.half_width_deg:.1f}° ({angle.name})" if (angle := inferred.own) else "",
+        "inferred": f"{inferred.deg:.1f} ± {inferred.half_width_deg:.1f}°",
+        "difference [°]": "-" if inferred.own is None else f"{inferred.difference_deg:+.1f}",
     }
 
 
-def conclusion(firsts: Sequence[CaseScore], found: Sequence[Inferred]) -> list[str]:
+def conclusion(firsts: Sequence[CaseScore], angles: Sequence[Inferred]) -> list[str]:
     """Lengths and fronts forward, angles backward; firsts: the scores at the first angles."""
-    scores = [each for each in firsts if each.independent]
-    inferred = [each for each in found if each.own is not None]
+    scores = [score for score in firsts if score.independent]
+    inferred = [angle for angle in angles if angle.own is not None]
     if not scores:
         return ["No experiment has an angle of friction of its own."]
-    largest = max(scores, key=lambda each: abs(each.error))
-    fronts = [each for each in scores if each.measured.quantity in (Quantity.FRONT, Quantity.RADIUS)]
-    far = [each.fine / each.measured.value - 1.0 for each in fronts]
-    mean, moved = float(np.mean(far)), max(abs(each.fine / each.coarse - 1.0) for each in fronts)
-    off = [each.difference_deg for each in inferred]
+    largest = max(scores, key=lambda score: abs(score.error))
+    fronts = [score for score in scores if score.measured.quantity in (Quantity.FRONT, Quantity.RADIUS)]
+    far = [front.fine / front.measured.value - 1.0 for front in fronts]
+    mean, moved = float(np.mean(far)), max(abs(front.fine / front.coarse - 1.0) for front in fronts)
+    off = [angle.difference_deg for angle in inferred]
     return [
-        f"With independently measured angles of friction and nothing fitted, {sum(each.agrees for each in scores)} of"
+        f"With independently measured angles of friction and nothing fitted, {sum(score.agrees for score in scores)} of"
         f" {len(scores)} computed lengths lie within {CLOSE:g} spreads of the measured ones; the largest error is"
         f" {largest.error:+.1f} spreads ({largest.label}).",
         f"Fronts are {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average, {signed(min(far))} to"
         f" {signed(max(far))}; finer cells move them by at most {percent(moved)}.",
         f"The angle inferred from a front is {abs(np.mean(off)):.1f}° {'above' if sum(off) > 0.0 else 'below'} the"
         f" measured one on average, {min(off):+.1f}° to {max(off):+.1f}°; the ranges of"
-        f" {sum(each.agrees for each in inferred)} of {len(inferred)} cases overlap.",
+        f" {sum(angle.agrees for angle in inferred)} of {len(inferred)} cases overlap.",
     ]
 
 
 def draw(path: Path, scores: Sequence[CaseScore]) -> None:
-    rows, value = range(len(scores)), np.array([each.measured.value for each in scores])
-    spread = np.array([each.measured.spread for each in scores]) / value
+    rows, value = range(len(scores)), np.array([score.measured.value for score in scores])
+    spread = np.array([score.measured.spread for score in scores]) / value
     with figure(path, size=(8.0, 1.6 + 0.36 * max(len(scores), 1))) as axes:
         axis = axes[0, 0]
         ones = np.ones(len(scores))
         axis.errorbar(ones, rows, xerr=spread, fmt="s", color=INK, capsize=3, ms=4, label="measured, ± spread")
         for name, colour in (("coarse", LIGHT_BLUE), ("fine", BLUE)):
-            found = np.array([getattr(each, name) for each in scores])
-            axis.plot(found / value, rows, "o", color=colour, label=f"computed, {name} cells")
-        axis.set_yticks(rows, [each.label for each in scores])
+            lengths = np.array([getattr(score, name) for score in scores])
+            axis.plot(lengths / value, rows, "o", color=colour, label=f"computed, {name} cells")
+        axis.set_yticks(rows, [score.label for score in scores])
         axis.set(xlabel="length over the measured one", title="At the angle of friction that was measured by itself")
         axis.grid(axis="y", visible=False)
         axis.invert_yaxis()

@@ -77,17 +77,17 @@ class ModelErrors:
     @property
     def points(self) -> dict[str, tuple[float, float]]:
         """Mean seconds of each method, and the rms over the scenes of the larger error of front and profile."""
-        found = {}
-        for method in [each for each in self.compared[0].by if each != AGAIN]:
-            seconds, errors = zip(*((each.seconds[method], each.by[method]) for each in self.compared), strict=True)
-            larger = np.array([max(abs(each.front), each.profile) for each in errors])
-            found[method] = float(np.mean(seconds)), measures.rms(larger)
-        return found
+        by_method = {}
+        for method in [method for method in self.compared[0].by if method != AGAIN]:
+            seconds, errors = zip(*((case.seconds[method], case.by[method]) for case in self.compared), strict=True)
+            larger = np.array([max(abs(error.front), error.profile) for error in errors])
+            by_method[method] = float(np.mean(seconds)), measures.rms(larger)
+        return by_method
 
     @property
     def held(self) -> list[bool]:
         """Of each front with a band whether it lies within."""
-        return [abs(each.band[0]) <= each.band[1] for each in self.compared if each.band]
+        return [abs(case.band[0]) <= case.band[1] for case in self.compared if case.band]
 
 
 Mounds = Mapping[tuple[float, float], Mapping[str, float]]
@@ -102,34 +102,34 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     model
         A model's file or the name of one that ships, once or more often; all that ship unless given.
     """
-    paths = {path: gns.load(path).settings.dimension for path in [model_path(each) for each in model] or models()}
+    paths = {path: gns.load(path).settings.dimension for path in [model_path(file) for file in model] or models()}
     with kept(keep) as folder:
-        found = [
+        measured = [
             measure(path, family, number, RunStore(folder / family), CELLS[dimension])
             for path, dimension in paths.items()
             for family, number in SCENES[dimension].items()
         ]
     mounds = at_rest([path for path, dimension in paths.items() if dimension == 2])
-    draw(out / "gns.png", found)
+    draw(out / "gns.png", measured)
     bands = [
         {
-            "model": f"`{each.name}` on {each.family}",
-            "fronts in their bands": f"{sum(each.held)} of {len(each.held)}",
-            "half-width over the extent": f"{mean([b.band[1] / b.extent for b in each.compared if b.band]):.1%}",
+            "model": f"`{errors.name}` on {errors.family}",
+            "fronts in their bands": f"{sum(errors.held)} of {len(errors.held)}",
+            "half-width over the extent": f"{mean([b.band[1] / b.extent for b in errors.compared if b.band]):.1%}",
         }
-        for each in found
-        if each.held
+        for errors in measured
+        if errors.held
     ]
     return write_page(
         out,
         "gns",
-        conclusion(found, mounds),
+        conclusion(measured, mounds),
         flags="".join(f" --model {path}" for path in model),
         seed=SEED,
         level=LEVEL,
         jitters=JITTERS,
-        kinds=tables(kind_rows(each) for each in found),
-        prices=tables(price_rows(each) for each in found),
+        kinds=tables(kind_rows(errors) for errors in measured),
+        prices=tables(price_rows(errors) for errors in measured),
         bands=bands,
         mounds=[
             {"mound": f"{friction:g}° on {slope:g}°"} | {name: f"{speed:+.2g}" for name, speed in by.items()}
@@ -143,7 +143,8 @@ def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequen
     simulator, scenes = gns.load(path), held_out(family, number)
     fine = [scene for _, scene in scenes]
     references, again = (
-        store.run([Run(scene=replace(each, seed=each.seed + more), record=AT_REST) for each in fine]) for more in (0, 1)
+        store.run([Run(scene=replace(scene, seed=scene.seed + more), record=AT_REST) for scene in fine])
+        for more in (0, 1)
     )
     # Kernels are compiled, or read from their cache, at a first call.
     gns.simulate(fine[0], model=simulator)
@@ -180,12 +181,12 @@ def at_rest(models: Sequence[Path]) -> Mounds:
     """The stable mounds by the MPM and by these models; none without models."""
     ways: dict[str, Callable[[Scene], Trajectory]] = {"MPM": simulate}
     ways |= {path.stem: partial(gns.simulate, model=gns.load(path)) for path in models}
-    found = {}
+    mounds = {}
     for friction_deg, slope_deg in tqdm(MOUNDS if models else (), desc="mounds at rest", unit="mound"):
         scenes = [mound(friction_deg, slope_deg, seed) for seed in range(JITTERS)]
-        by = {name: max((creep(run(each)) for each in scenes), key=abs) for name, run in ways.items()}
-        found[friction_deg, slope_deg] = by
-    return found
+        by = {name: max((creep(run(scene)) for scene in scenes), key=abs) for name, run in ways.items()}
+        mounds[friction_deg, slope_deg] = by
+    return mounds
 
 
 def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
@@ -197,23 +198,23 @@ def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
     return prediction.front - front, prediction.half_width
 
 
-def conclusion(found: Sequence[ModelErrors], mounds: Mounds) -> list[str]:
+def conclusion(measured: Sequence[ModelErrors], mounds: Mounds) -> list[str]:
     fronts, prices = [], []
-    for each in found:
-        off, again = ([one.by[method].front for one in each.compared if one.free] for method in (each.name, AGAIN))
-        profiles = mean([one.by[each.name].profile for one in each.compared])
-        fronts.append(f"{mean(off):.1%}, {mean(again):.1%} and {profiles:.1%} ({each.family})")
-        points = each.points
-        seconds, error = points.pop(each.name)
+    for model in measured:
+        off, again = ([one.by[method].front for one in model.compared if one.free] for method in (model.name, AGAIN))
+        profiles = mean([one.by[model.name].profile for one in model.compared])
+        fronts.append(f"{mean(off):.1%}, {mean(again):.1%} and {profiles:.1%} ({model.family})")
+        points = model.points
+        seconds, error = points.pop(model.name)
         as_good = [price for price, coarse in points.values() if coarse <= error]
         mpm = f"{min(as_good):.2g} s" if as_good else "no coarse run"
-        prices.append(f"{seconds:.2g} s and {mpm} ({each.family})")
+        prices.append(f"{seconds:.2g} s and {mpm} ({model.family})")
     sentences = [
         "Mean error of fronts on unseen scenes, scatter of the MPM's fronts, mean error of profiles, over the deposit's"
         f" extent: {'; '.join(fronts)}.",
         f"Time of a prediction, and of the cheapest coarse MPM with no larger error: {'; '.join(prices)}.",
     ]
-    if held := [inside for each in found for inside in each.held]:
+    if held := [inside for model in measured for inside in model.held]:
         sentences.append(f"The {LEVEL:.0%} bands contain {sum(held)} of {len(held)} fronts.")
     if mounds:
         by_mpm = max(abs(by["MPM"]) for by in mounds.values())
@@ -226,12 +227,12 @@ def conclusion(found: Sequence[ModelErrors], mounds: Mounds) -> list[str]:
 
 def kind_rows(model: ModelErrors) -> list[Row]:
     """Errors by kinds of scenes, of all of them, and of the MPM jittered anew."""
-    names, every = dict.fromkeys(each.kind for each in model.compared), model.compared
-    groups = [(kind, model.name, [each for each in every if each.kind == kind]) for kind in names]
+    names, every = dict.fromkeys(case.kind for case in model.compared), model.compared
+    groups = [(kind, model.name, [case for case in every if case.kind == kind]) for kind in names]
     rows: list[Row] = []
     for title, method, group in (*groups, ("all", model.name, every), (AGAIN, AGAIN, every)):
-        errors = [each.by[method] if each.free else replace(each.by[method], front=math.nan) for each in group]
-        counts = f"{len(group)}, {sum(each.free for each in group)}"
+        errors = [case.by[method] if case.free else replace(case.by[method], front=math.nan) for case in group]
+        counts = f"{len(group)}, {sum(case.free for case in group)}"
         rows.append({f"`{model.name}` on {model.family}": title, "scenes, free": counts} | summary(errors))
     return rows
 
@@ -241,17 +242,17 @@ def price_rows(model: ModelErrors) -> list[Row]:
     return [{model.family: name, "seconds": f"{s:.3g}", "error": f"{error:.1%}"} for name, (s, error) in points]
 
 
-def draw(path: Path, found: Sequence[ModelErrors]) -> None:
-    with figure(path, rows=len(found), columns=2, size=(5.6, 3.4)) as axes:
-        for (left, right), model in zip(axes, found, strict=True):
-            free = [(each.kind, 100.0 * each.by[model.name].front) for each in model.compared if each.free]
+def draw(path: Path, measured: Sequence[ModelErrors]) -> None:
+    with figure(path, rows=len(measured), columns=2, size=(5.6, 3.4)) as axes:
+        for (left, right), model in zip(axes, measured, strict=True):
+            free = [(case.kind, 100.0 * case.by[model.name].front) for case in model.compared if case.free]
             left.plot(*zip(*free, strict=True), "o", color=ORANGE, markersize=4)
             left.axhline(0.0, color=INK, linewidth=0.8)
             left.tick_params("x", rotation=30)
             left.set(title=f"{model.name} on {model.family}", ylabel="front beyond the MPM's [% of the extent]")
             points = model.points
             seconds, error = points.pop(model.name)
-            right.loglog(*zip(*((s, 100.0 * each) for s, each in points.values()), strict=True), "o-", color=BLUE)
+            right.loglog(*zip(*((s, 100.0 * off) for s, off in points.values()), strict=True), "o-", color=BLUE)
             right.loglog(seconds, 100.0 * error, "*", ms=11, color=ORANGE, label=model.name)
             right.set(xlabel="seconds on one thread; blue: the MPM", ylabel="error of the deposit [% of its extent]")
             right.legend()
@@ -261,16 +262,16 @@ def held_out(family: str, number: int) -> list[tuple[str, Scene]]:
     """So many scenes that no training data have, with their kinds: the first of every kind, then the second, ..."""
     definition = read_definition(family)
     kinds = definition.kinds
-    found: dict[str, list[tuple[str, Scene]]] = {kind: [] for kind in kinds}
-    rounds, streams = math.ceil(number / len(found)), set[int]()
+    by_kind: dict[str, list[tuple[str, Scene]]] = {kind: [] for kind in kinds}
+    rounds, streams = math.ceil(number / len(by_kind)), set[int]()
     for index in count():
-        if all(len(each) == rounds for each in found.values()):
+        if all(len(scenes) == rounds for scenes in by_kind.values()):
             break
         kind, stream = kinds[index % len(kinds)], definition.stream(index)
-        if stream not in streams and len(found[kind]) < rounds:
+        if stream not in streams and len(by_kind[kind]) < rounds:
             streams.add(stream)
-            found[kind].append((kind, definition.draw(np.random.default_rng([SEED, stream]), index)))
-    return [each for group in zip(*found.values(), strict=True) for each in group][:number]
+            by_kind[kind].append((kind, definition.draw(np.random.default_rng([SEED, stream]), index)))
+    return [pair for group in zip(*by_kind.values(), strict=True) for pair in group][:number]
 
 
 def coarse(scene: Scene, cells: int) -> Scene:

@@ -31,7 +31,7 @@ def bench(*, out: Out, rounds: Rounds = 2) -> str:
     threads = processors()
     modes: list[Mode] = [("f32", threads), ("f32", 0), ("f64", 0)]
     timed = turns({(case, mode): partial(rate, case, mode) for mode in modes for case in CASES}, rounds, "rates")
-    rates = {key: Spread(found) for key, found in timed.items()}
+    rates = {key: Spread(values) for key, values in timed.items()}
     beside = [network_rows(rounds=rounds, device=device) for device in ("cpu", "cuda")]
     gains = {case: rates[case, ("f32", 0)].median / rates[case, ("f32", threads)].median for case in CASES}
     least, most = sorted(gains, key=gains.__getitem__)[:: len(CASES) - 1]

@@ -44,7 +44,7 @@ class Spread:
         return statistics.median(self.values)
 
     def __format__(self, form: str) -> str:
-        low, middle, high = (format(each, form) for each in (min(self.values), self.median, max(self.values)))
+        low, middle, high = (format(value, form) for value in (min(self.values), self.median, max(self.values)))
         return middle if low == high else f"{middle} ({low}-{high})"
 
 
@@ -57,13 +57,13 @@ def seconds_of(action: Callable[[], object]) -> float:
 
 def turns(work: Mapping[Key, Callable[[], T]], rounds: int, what: str) -> dict[Key, list[T]]:
     """All work once, then all of it once more, `rounds` times in all."""
-    found: dict[Key, list[T]] = {key: [] for key in work}
+    results: dict[Key, list[T]] = {key: [] for key in work}
     with tqdm(total=rounds * len(work), desc=what, unit="run", dynamic_ncols=True) as progress:
         for _ in range(rounds):
-            for key, each in work.items():
-                found[key].append(each())
+            for key, task in work.items():
+                results[key].append(task())
                 progress.update()
-    return found
+    return results
 
 
 def isolated(work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -80,10 +80,10 @@ def isolated(work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
 
 def once(path: Path, work: Callable[P, Found], /, *args: P.args, **kwargs: P.kwargs) -> Found:
     """What `isolated` work came to, as it stands in `path`, where it is kept when it was not done yet."""
-    if (found := read_json(path)) is None:
-        found = isolated(work, *args, **kwargs)
-        write_json(path, found)
-    return found
+    if (result := read_json(path)) is None:
+        result = isolated(work, *args, **kwargs)
+        write_json(path, result)
+    return result
 
 
 def recorded(scene: Callable[[], Scene], record: Recording, path: Path) -> Found:

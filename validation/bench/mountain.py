@@ -93,10 +93,10 @@ def written_scene(data: Path, cell: float, folder: Path) -> Path:
 
 def only(folder: Path, pattern: str) -> Path:
     """The file of a folder whose name is like `pattern`. Raises InputError unless there is one."""
-    found = sorted(folder.glob(pattern))
-    if len(found) != 1:
-        raise InputError(f"expected one file {pattern}, there are {len(found)}", where=str(folder))
-    return found[0]
+    paths = sorted(folder.glob(pattern))
+    if len(paths) != 1:
+        raise InputError(f"expected one file {pattern}, there are {len(paths)}", where=str(folder))
+    return paths[0]
 
 
 def slid(data: Path, cell: float, folder: Path) -> Found:
@@ -107,8 +107,8 @@ def slid(data: Path, cell: float, folder: Path) -> Found:
     maps = maps_of(open_trajectory(path), beside.spacing[0], threshold=COVERED, progress=True)
     assert maps.velocity is not None, "frames beside one another tell it"
     x, z = (first + axis for first, axis in zip(maps.corner, maps.grid.axes, strict=True))
-    found = peaks(case, (x, z), maps.velocity, float(maps.normal_depth.max())) | alike(maps, (x, z), beside)
-    return found | took | {"maps": time.perf_counter() - began, "memory": peak_memory_mib()}
+    result = peaks(case, (x, z), maps.velocity, float(maps.normal_depth.max())) | alike(maps, (x, z), beside)
+    return result | took | {"maps": time.perf_counter() - began, "memory": peak_memory_mib()}
 
 
 def energy_line(data: Path, cell: float, raised: float, folder: Path) -> Found:
@@ -210,30 +210,30 @@ def bench(
     beside, costs, conclusion, lines, off, all_found = [], [], [], [], [], list[Found]()
     with kept(keep) as folder:
         for name, place in folders.items():
-            others, found = dict[str, Found](), dict[float, Found]()
+            others, by_cell = dict[str, Found](), dict[float, Found]()
             for code in CASES[name].codes:
                 speed, thick = (read_raster(place / f"peak-{kind}-{code}.tif") for kind in ("speed", "thickness"))
                 thickest = float(np.nanmax(thick.values))
                 others[code] = peaks(CASES[name], (speed.x, speed.z), np.nan_to_num(speed.values), thickest)
             make_folder(folder / name)
             for cell in cells or CASES[name].cells:
-                found[cell] = once(folder / name / f"{cell:g}.json", slid, place, cell, folder / name)
-            codes = {f"**Talus, {cell:g} m**": each for cell, each in found.items()} | others
-            rows = [row(CASES[name], code, each) for code, each in codes.items()]
+                by_cell[cell] = once(folder / name / f"{cell:g}.json", slid, place, cell, folder / name)
+            codes = {f"**Talus, {cell:g} m**": result for cell, result in by_cell.items()} | others
+            rows = [row(CASES[name], code, result) for code, result in codes.items()]
             beside.append(f"### {name}\n\n{tables([rows])}")
-            costs += [cost(name, *each) for each in found.items()]
-            conclusion.append(compared(name, found[min(found)], others))
-            all_found += found.values()
+            costs += [cost(name, *item) for item in by_cell.items()]
+            conclusion.append(compared(name, by_cell[min(by_cell)], others))
+            all_found += by_cell.values()
         if slide is not None:
             make_folder(place := folder / "avaSlide")
             for cell, raised in RAISED:
-                each = once(place / f"{cell:g}-{raised:g}.json", energy_line, slide, cell, raised, place)
-                lines.append(beside_point(cell, raised, each))
-                off.append(abs(each["slope"] / each["point"] - 1.0))
+                result = once(place / f"{cell:g}-{raised:g}.json", energy_line, slide, cell, raised, place)
+                lines.append(beside_point(cell, raised, result))
+                off.append(abs(result["slope"] / result["point"] - 1.0))
             conclusion.append(
                 f"avaSlide: the slope of the energy line is within {max(off):.1%} of that of a sliding point."
             )
-    seconds, memory = (max(each[key] for each in all_found) for key in ("seconds", "memory"))
+    seconds, memory = (max(result[key] for result in all_found) for key in ("seconds", "memory"))
     conclusion.append(f"The longest run takes {seconds:.0f} s; no run needs more than {memory:.0f} MiB.")
     flags = " --data DIR" + "".join(f" --cells {cell:g}" for cell in cells)
     flags += " --slide DIR" if slide is not None else ""
@@ -248,7 +248,7 @@ def compared(name: str, finest: Found, others: Mapping[str, Found]) -> str:
     apart = np.abs(np.array(finest["speeds"]) / near - 1.0)
     return (
         f"{name}: the flow reaches {finest['furthest']:.0f} m, that of the {len(others)} other codes"
-        f" {between([each['furthest'] for each in others.values()], '.0f')} m; its peak speeds over cross-sections are"
+        f" {between([peak['furthest'] for peak in others.values()], '.0f')} m; its peak speeds over cross-sections are"
         f" within {apart.max():.0%} of {' and '.join(code for code in ALIKE if code in others)},"
         f" {apart.mean():.0%} on average, and {finest['overlap']:.0%} of the area that either covers is common with"
         f" {NEAREST}."
@@ -271,27 +271,27 @@ def cost(case: str, cell: float, took: Found) -> Row:
     }
 
 
-def beside_point(cell: float, raised: float, each: Found) -> Row:
+def beside_point(cell: float, raised: float, result: Found) -> Row:
     """A run of avaSlide beside the point."""
     return {
         "cell [m]": f"{cell:g}",
         "ground raised by [m]": f"{raised:g}",
-        "particles": f"{each['particles']:,}",
-        "slope of the energy line": f"{each['slope']:.4f}",
-        "of a point": f"{each['point']:.4f}",
-        "off by": f"{each['slope'] / each['point'] - 1.0:+.1%}",
+        "particles": f"{result['particles']:,}",
+        "slope of the energy line": f"{result['slope']:.4f}",
+        "of a point": f"{result['point']:.4f}",
+        "off by": f"{result['slope'] / result['point'] - 1.0:+.1%}",
     }
 
 
-def row(case: Slide, name: str, each: Found) -> Row:
+def row(case: Slide, name: str, result: Found) -> Row:
     """A code's peaks; those that are compared cell by cell with another code's say how."""
-    speeds = zip(case.sections, each["speeds"], strict=True)
+    speeds = zip(case.sections, result["speeds"], strict=True)
     return {
         "code": name,
-        "reach [m]": f"{each['furthest']:.0f}",
+        "reach [m]": f"{result['furthest']:.0f}",
         **{f"{at:.0f} m": f"{speed:.1f}" for at, speed in speeds},
-        "thickness [m]": f"{each['thickness']:.1f}",
-        "area [ha]": f"{each['area']:.1f}",
-        f"overlap with {NEAREST}": f"{each['overlap']:.2f}" if "overlap" in each else "",
-        f"speed over {NEAREST}'s": f"{each['faster']:.2f}" if "faster" in each else "",
+        "thickness [m]": f"{result['thickness']:.1f}",
+        "area [ha]": f"{result['area']:.1f}",
+        f"overlap with {NEAREST}": f"{result['overlap']:.2f}" if "overlap" in result else "",
+        f"speed over {NEAREST}'s": f"{result['faster']:.2f}" if "faster" in result else "",
     }

@@ -99,5 +99,5 @@ def machine() -> str:
 def cpuinfo(key: str) -> str:
     """The first value of `key` in Linux's description of its processors, empty elsewhere."""
     text = CPUINFO.read_text(encoding="utf-8") if CPUINFO.exists() else ""
-    found = re.search(rf"^{key}\s*: (.*)$", text, re.MULTILINE)
-    return "" if found is None else found[1].strip()
+    match = re.search(rf"^{key}\s*: (.*)$", text, re.MULTILINE)
+    return "" if match is None else match[1].strip()

@@ -69,7 +69,7 @@ class Section(Record):
     def inversions(self, name: str) -> list[tuple[Problem, str]]:
         """The problem of this name in each way in which it is solved, and the names of the folders."""
         problem = read_problem(name)
-        return [(problem, name), *((replace(problem, surrogate=each), f"{name}-{each}") for each in self.again)]
+        return [(problem, name), *((replace(problem, surrogate=way), f"{name}-{way}") for way in self.again)]
 
 
 SHIPPED = read_toml(Path(__file__).with_suffix(".toml"))
@@ -130,7 +130,7 @@ class Outcome:
     @property
     def numbers(self) -> list[AnsweredNumber]:
         result, names, truth = self.result, self.problem.names, self.result.get("truth") or {}
-        paper, own = dict(zip(names, self.paper.values, strict=False)), self.surrogate.get("unknowns", {})
+        paper, surrogate = dict(zip(names, self.paper.values, strict=False)), self.surrogate.get("unknowns", {})
         answers = [result, *result.get("answers", [])[1:]]
 
         def held(answer: Mapping[str, Any]) -> set[str]:
@@ -141,27 +141,31 @@ class Outcome:
         # Of one answer for all: values of two layouts are no layout.
         inside, numbers = max(map(held, answers), key=len), []
         for name, kind in zip(names, self.problem.kinds, strict=True):
-            (found, low, high), *others = [(each["unknowns"][name], *each["interval"][name]) for each in answers]
-            known = {"truth": truth.get(name), "paper": paper.get(name), "surrogate": own.get(name)}
-            values = {"found": found, "low": low, "high": high, "others": tuple(others), "inside": name in inside}
-            numbers.append(AnsweredNumber(unknown=name, unit=kind.unit, **known, **values))
+            (value, low, high), *others = [(answer["unknowns"][name], *answer["interval"][name]) for answer in answers]
+            references = {"truth": truth.get(name), "paper": paper.get(name), "surrogate": surrogate.get(name)}
+            values = {"found": value, "low": low, "high": high, "others": tuple(others), "inside": name in inside}
+            numbers.append(AnsweredNumber(unknown=name, unit=kind.unit, **references, **values))
         return numbers
 
     @property
     def missed(self) -> list[str]:
         """Criteria that it does not meet, with what came out."""
-        asked, result, known = self.criteria, self.result, [each for each in self.numbers if each.truth is not None]
+        asked, result, numbers = (
+            self.criteria,
+            self.result,
+            [number for number in self.numbers if number.truth is not None],
+        )
         front, loss = result["error_pct"].get("front") or 0.0, result["loss"].get("mpm") or 0.0
-        inside, most = sum(each.inside for each in known), asked.unknown_error_pct
-        scales = [(each, 100.0 / abs(each.truth)) for each in known if each.truth]
-        error = max((abs(each.off(each.found)) * scale for each, scale in scales), default=0.0)
-        width = max((0.5 * (each.high - each.low) * scale for each, scale in scales), default=0.0)
+        inside, most = sum(number.inside for number in numbers), asked.unknown_error_pct
+        scales = [(number, 100.0 / abs(number.truth)) for number in numbers if number.truth]
+        error = max((abs(number.off(number.found)) * scale for number, scale in scales), default=0.0)
+        width = max((0.5 * (number.high - number.low) * scale for number, scale in scales), default=0.0)
         checks = {
             f"verdict {result['verdict']}, expected {asked.verdict}": result["verdict"] == asked.verdict,
             f"front {front:.2f} % off, at most {asked.front_error_pct:g} %": front <= asked.front_error_pct,
             f"misfit {loss:.1e} m², at most {asked.loss:.0e} m²": loss <= asked.loss,
             f"number {error:.2f} % off, at most {most:g} %": error <= most or most < width,
-            f"{inside} of {len(known)} true values in their intervals": not asked.inside or inside == len(known),
+            f"{inside} of {len(numbers)} true values in their intervals": not asked.inside or inside == len(numbers),
         }
         return [text for text, met in checks.items() if not met]
 
@@ -185,7 +189,7 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
     if unknown := [name for name in only if name not in names]:
         expected = f"expected the name of a shipped problem: {suggestion(unknown[0], names)}"
         raise InputError(expected, where=unknown[0], key="--only")
-    failed, pictures, found = list[str](), list[str](), dict[str, list[Outcomes]]()
+    failed, pictures, by_family = list[str](), list[str](), dict[str, list[Outcomes]]()
     with kept(keep) as folder:
         for family in FAMILIES:
             for name in family.problems:
@@ -197,20 +201,20 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
                         outcome = Outcome(problem=problem, criteria=family.criteria, result=result)
                         ways.setdefault(outcome.way, outcome)
                 if ways:
-                    found.setdefault(family.title, []).append(ways)
+                    by_family.setdefault(family.title, []).append(ways)
             for picture in family.pictures:
                 source, target = folder / f"{picture}.png", out / "pictures" / f"{picture.replace('/', '-')}.png"
                 if source.exists():
                     make_folder(target.parent)
                     pictures.append(Path(shutil.copyfile(source, target)).stem)
-    every = [ways for problems in found.values() for ways in problems]
-    write_numbers(out / "problems.csv", [each for ways in every for each in ways.values()])
+    every = [ways for problems in by_family.values() for ways in problems]
+    write_numbers(out / "problems.csv", [outcome for ways in every for outcome in ways.values()])
     draw(out / "pictures" / "problems.png", every)
     said = write_page(
         out,
         "problems",
         conclusion(every),
-        families="\n\n".join(section(*each) for each in found.items()),
+        families="\n\n".join(section(*item) for item in by_family.items()),
         pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
     )
     if failed:
@@ -249,32 +253,34 @@ def solved(problem: Problem, folder: Path) -> bool:
 
 def section(title: str, problems: Sequence[Outcomes]) -> str:
     """Of a family: its table, without columns that nothing fills, and the criteria that are missed."""
-    every = [each for ways in problems for each in ways.values()]
-    fields = [field_row(each, field) for each in every for field in each.result.get("fields", ())]
+    every = [outcome for ways in problems for outcome in ways.values()]
+    fields = [field_row(outcome, field) for outcome in every for field in outcome.result.get("fields", ())]
     table = fields or [row for ways in problems for row in rows(ways)]
     filled = {key for row in table for key, cell in row.items() if cell != ""}
     table = [{key: cell for key, cell in row.items() if key in filled} for row in table]
-    missed = [f"- `{each.problem.name}`, {each.way}: {'; '.join(each.missed)}" for each in every if each.missed]
+    missed = [
+        f"- `{outcome.problem.name}`, {outcome.way}: {'; '.join(outcome.missed)}" for outcome in every if outcome.missed
+    ]
     return "\n\n".join([f"## {title}", tables([table]), "\n".join(missed)]).rstrip()
 
 
 def conclusion(solved: Sequence[Outcomes]) -> list[str]:
     """How many answers meet their criteria and truths lie in intervals, the paper's columns, fields, the price."""
-    outcomes = [each for ways in solved for each in ways.values()]
+    outcomes = [outcome for ways in solved for outcome in ways.values()]
     if not outcomes:
         return ["No problem has been solved yet."]
-    good = sum(not each.missed for each in outcomes)
+    good = sum(not outcome.missed for outcome in outcomes)
     said = [f"{good} of {len(outcomes)} answers to {len(solved)} problems meet all of their criteria."]
-    if inside := [number.inside for each in outcomes for number in each.numbers if number.truth is not None]:
+    if inside := [number.inside for outcome in outcomes for number in outcome.numbers if number.truth is not None]:
         said.append(f"The 95 % intervals contain {sum(inside)} of {len(inside)} true values.")
     sizes: dict[str, list[float]] = {way: [] for way in (*COLOURS, "paper")}
-    for each in outcomes:
-        for number in each.numbers if each.problem.names == ["friction_deg"] and each.paper.values else ():
-            sizes[each.way].append(abs(number.off(number.found)))
+    for outcome in outcomes:
+        for number in outcome.numbers if outcome.problem.names == ["friction_deg"] and outcome.paper.values else ():
+            sizes[outcome.way].append(abs(number.off(number.found)))
             sizes["paper"].append(abs(number.off(number.paper)))
     if errors := ", ".join(f"{between(values, '.1f')}° ({way})" for way, values in sizes.items() if values):
         said.append(f"From the front of the paper's columns, the friction angle is found with an error of {errors}.")
-    if fields := [field for each in outcomes for field in each.result.get("fields", ())]:
+    if fields := [field for outcome in outcomes for field in outcome.result.get("fields", ())]:
         values = sum(field["values"] for field in fields)
         held = sum(field["values"] * field["truth_in_band"]["all"] for field in fields) / values
         said.append(
@@ -283,24 +289,24 @@ def conclusion(solved: Sequence[Outcomes]) -> list[str]:
         )
     both = [ways for ways in solved if len(ways) == len(COLOURS)] or solved
     runs = {way: [len(ways[way].result["mpm_runs"]) for ways in both if way in ways] for way in COLOURS}
-    cost = " and ".join(f"{between(each, '.0f')} MPM runs ({way})" for way, each in runs.items() if each)
+    cost = " and ".join(f"{between(counts, '.0f')} MPM runs ({way})" for way, counts in runs.items() if counts)
     return [*said, f"An answer takes {cost}."]
 
 
 def rows(ways: Outcomes) -> list[Row]:
     """The rows of a problem: one for each number, or one for many."""
-    problem, numbers = next((each.problem, each.numbers) for each in ways.values())
-    results, many, found = [ways[way].result for way in COLOURS if way in ways], len(numbers) > LISTED, list[Row]()
+    problem, numbers = next((outcome.problem, outcome.numbers) for outcome in ways.values())
+    results, many, table = [ways[way].result for way in COLOURS if way in ways], len(numbers) > LISTED, list[Row]()
     for index, (number, kind) in enumerate(zip(numbers[:1] if many else numbers, problem.kinds, strict=False)):
         name = f"`{problem.name}`" if index == 0 else ""
         row = {"problem": name if many or len(numbers) == 1 else f"{name} {number.unknown}"}
         row["true value"] = "-" if number.truth is None else "" if many else kind.text(number.truth)
         row["paper"] = "" if number.paper is None else f"{number.paper:g}"
         row |= {way: cell(ways[way], index, kind.digits, many=many) if way in ways else "" for way in COLOURS}
-        row["MPM runs"] = " / ".join(str(len(each["mpm_runs"])) for each in results) if index == 0 else ""
-        seconds = " / ".join(f"{each['seconds']['processors']:.0f}" for each in results)
-        found.append(row | {"CPU s": seconds if index == 0 else ""})
-    return found
+        row["MPM runs"] = " / ".join(str(len(result["mpm_runs"])) for result in results) if index == 0 else ""
+        seconds = " / ".join(f"{result['seconds']['processors']:.0f}" for result in results)
+        table.append(row | {"CPU s": seconds if index == 0 else ""})
+    return table
 
 
 def cell(outcome: Outcome, index: int, digits: int, *, many: bool) -> str:
@@ -309,7 +315,7 @@ def cell(outcome: Outcome, index: int, digits: int, *, many: bool) -> str:
     answers = [(number.found, number.low, number.high), *number.others]
     text = " or ".join(f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]" for value, low, high in answers)
     if many:
-        text = f"{sum(each.inside for each in outcome.numbers)} of {len(outcome.numbers)} in their intervals"
+        text = f"{sum(answered.inside for answered in outcome.numbers)} of {len(outcome.numbers)} in their intervals"
     shown = index == 0 and verdict != Verdict.CONFIRMED.value
     return emphasised(f"{verdict}: {text}" if shown else text, not outcome.missed)
 
@@ -322,7 +328,7 @@ def field_row(outcome: Outcome, field: Mapping[str, Any]) -> Row:
         "found by": outcome.way,
         "values": field["values"],
         "identified": f"{field['identified']:.0%}",
-        "their rms error, prior and found": ", ".join("-" if each is None else f"{each:.3g}" for each in error),
+        "their rms error, prior and found": ", ".join("-" if value is None else f"{value:.3g}" for value in error),
         "truth within 95 %": f"{field['truth_in_band']['all']:.0%}",
         "verdict": outcome.result["verdict"],
         "MPM runs": outcome.result["run_count"],
@@ -334,22 +340,22 @@ def field_row(outcome: Outcome, field: Mapping[str, Any]) -> Row:
 def write_numbers(path: Path, outcomes: Sequence[Outcome]) -> None:
     """A line for each number of each answer, and for each field."""
     lines: list[dict[str, object]] = []
-    for each in outcomes:
-        result, own = each.result, each.surrogate.get("mpm_error", {})
+    for outcome in outcomes:
+        result, errors = outcome.result, outcome.surrogate.get("mpm_error", {})
         common = {
-            "problem": each.problem.name,
-            "way": each.way,
+            "problem": outcome.problem.name,
+            "way": outcome.way,
             "verdict": result["verdict"],
-            "missed": "; ".join(each.missed),
+            "missed": "; ".join(outcome.missed),
             "mpm_runs": len(result["mpm_runs"]),
             "processor_seconds": result["seconds"]["processors"],
             "misfit_m2": result["loss"].get("mpm"),
             "front_error_pct": result["error_pct"].get("front"),
-            "surrogate_misfit_m2": own.get("misfit"),
-            "surrogate_front_error_pct": own.get("front_pct"),
-            "paper_misfit_m2": each.paper.loss,
+            "surrogate_misfit_m2": errors.get("misfit"),
+            "surrogate_front_error_pct": errors.get("front_pct"),
+            "paper_misfit_m2": outcome.paper.loss,
         }
-        lines += [common | asdict(number) for number in each.numbers]
+        lines += [common | asdict(number) for number in outcome.numbers]
         for field in result.get("fields", ()):
             flat = {f"{key}_{part}": field[key][part] for key in ("error", "truth_in_band") for part in field[key]}
             whole = {key: field[key] for key in ("unit", "values", "identified")}
@@ -370,12 +376,14 @@ def draw(path: Path, solved: Sequence[Outcomes]) -> None:
         for axis, (unit, shown) in zip(axes[:, 0], panes.items(), strict=False):
             axis.axvline(0.0, color=INK, linewidth=0.8, label="true value")
             for row, (_, numbers) in enumerate(shown):
-                for shift, (way, each) in zip((-0.15, 0.15), numbers.items(), strict=False):
-                    ends = [[each.found - each.low], [each.high - each.found]]
+                for shift, (way, answer) in zip((-0.15, 0.15), numbers.items(), strict=False):
+                    ends = [[answer.found - answer.low], [answer.high - answer.found]]
                     style = {"color": COLOURS[way], "fmt": "o", "ms": 4, "capsize": 2, "label": f"{way}, 95 %"}
-                    axis.errorbar(each.off(each.found), row + shift, xerr=ends, **style)
-                    axis.plot(each.off(each.surrogate), row, "D", color=GREY, ms=4, mfc="none", label="surrogate alone")
-                    axis.plot(each.off(each.paper), row, "x", color=RED, label="paper")
+                    axis.errorbar(answer.off(answer.found), row + shift, xerr=ends, **style)
+                    axis.plot(
+                        answer.off(answer.surrogate), row, "D", color=GREY, ms=4, mfc="none", label="surrogate alone"
+                    )
+                    axis.plot(answer.off(answer.paper), row, "x", color=RED, label="paper")
             axis.set_yticks(range(len(shown)), [label for label, _ in shown])
             axis.set(xlabel=f"value less the true one [{unit}]")
             axis.invert_yaxis()

@@ -124,7 +124,7 @@ def rate(case: Workload, mode: Mode) -> float:
         # On a GPU the first frame compiles.
         simulate_many([replace(scene, duration=scene.frame_dt) for scene in scenes], **place)
     summaries = [flow.summary for flow in simulate_many(scenes, **place)]
-    return float(sum(each["particles"] * each["steps"] for each in summaries) / summaries[0]["wall_s"] / 1.0e6)
+    return float(sum(summary["particles"] * summary["steps"] for summary in summaries) / summaries[0]["wall_s"] / 1.0e6)
 
 
 def behind_baffles() -> dict[str, Scene]:
@@ -142,10 +142,10 @@ def baffle_row(name: str, scene: Scene, rounds: int) -> Row:
         return float(1.0e9 * summary["wall_s"] / (summary["particles"] * summary["steps"]))
 
     work = {"with [ns]": scene, "without [ns]": replace(scene, baffles=())}
-    timed = turns({key: partial(nanoseconds, each) for key, each in work.items()}, rounds, name)
+    timed = turns({key: partial(nanoseconds, variant) for key, variant in work.items()}, rounds, name)
     ratio = Spread([one / other for one, other in zip(*timed.values(), strict=True)])
     row = {"scene": f"`{name}`", "particles": f"{particle_count(scene):,}", "baffles": len(scene.baffles)}
-    return row | {key: f"{Spread(each):.1f}" for key, each in timed.items()} | {"ratio": f"{ratio:.3f}"}
+    return row | {key: f"{Spread(values):.1f}" for key, values in timed.items()} | {"ratio": f"{ratio:.3f}"}
 
 
 def started(scene: Scene, folder: str) -> float:
@@ -188,13 +188,13 @@ def price(scene: Scene, rounds: int) -> Found:
         "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
         "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1, memory_mib=GRADIENT_MIB)),
     }
-    run, own = (statistics.median(seconds) for seconds in turns(work, rounds, "gradient").values())
+    run, adjoint = (statistics.median(seconds) for seconds in turns(work, rounds, "gradient").values())
     return {
         "particles": particle_count(scene),
         "steps": simulate(scene, record=LAST, threads=1).summary["steps"],
         "run [s]": run,
-        "gradient [s]": own,
-        "runs per gradient": own / run,
+        "gradient [s]": adjoint,
+        "runs per gradient": adjoint / run,
         "memory [MiB]": max(0.0, peak_memory_mib() - before / 2**20),
     }
 
@@ -227,8 +227,8 @@ def network_rows(*, rounds: int, device: str = "cpu") -> list[Found]:
         timed = [[seconds_of(partial(step, kind)) for _ in range(1 + rounds)] for kind in (False, True)]
         forward, both = (Spread(seconds[1:]) for seconds in timed)
         nodes = len(initial.indices)
-        found = {"model": f"`{path.stem}`", "nodes": nodes, "forward [s]": forward, "with gradient [s]": both}
-        return found | {PER_NODE: 1.0e6 * both.median / nodes}
+        result = {"model": f"`{path.stem}`", "nodes": nodes, "forward [s]": forward, "with gradient [s]": both}
+        return result | {PER_NODE: 1.0e6 * both.median / nodes}
 
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -257,11 +257,11 @@ def slide() -> Scene:
 
 def terrain(folder: Path) -> Found:
     """What the slide takes from the raster to the maps; frames and maps go to `folder`."""
-    found = recorded(slide, Recording(frames=EVERY), folder / "flow.h5")
+    costs = recorded(slide, Recording(frames=EVERY), folder / "flow.h5")
     began, trajectory = time.perf_counter(), open_trajectory(folder / "flow.h5")
     make_folder(folder / "maps")
     maps.write(trajectory, maps.maps_of(trajectory, CELL, progress=True), folder / "maps")
-    return found | {"maps": time.perf_counter() - began}
+    return costs | {"maps": time.perf_counter() - began}
 
 
 def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
@@ -272,7 +272,7 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
     timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
-    rates = {key: Spread(found) for key, found in timed.items()}
+    rates = {key: Spread(values) for key, values in timed.items()}
     baffles = [baffle_row(name, scene, 3 * rounds) for name, scene in behind_baffles().items()]
     whole = read_scene(PRICED)
     finer = [replace(whole.with_cell(whole.domain.cell / times), duration=duration) for times, duration in FINER]
@@ -301,9 +301,9 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
 
 
 def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found], large: Found) -> list[str]:
-    greatest = max(prices, key=lambda each: float(each["memory [MiB]"]))
-    ratios = between([each["runs per gradient"] for each in prices], ".1f")
-    steps = between([each[PER_NODE] for each in networks], ".0f")
+    greatest = max(prices, key=lambda row: float(row["memory [MiB]"]))
+    ratios = between([row["runs per gradient"] for row in prices], ".1f")
+    steps = between([row[PER_NODE] for row in networks], ".0f")
     said = []
     for dimension in (2, 3):
         best = best_rates(rates, dimension)
@@ -323,11 +323,11 @@ def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found],
 
 def best_rates(rates: Rates, dimension: int) -> dict[int, float]:
     """The highest median rate in single precision, by particles of a scene."""
-    found: dict[int, float] = {}
-    for (case, (precision, _)), each in rates.items():
+    best: dict[int, float] = {}
+    for (case, (precision, _)), spread in rates.items():
         if case.dimension == dimension and precision == "f32":
-            found[case.particles] = max(each.median, found.get(case.particles, 0.0))
-    return dict(sorted(found.items()))
+            best[case.particles] = max(spread.median, best.get(case.particles, 0.0))
+    return dict(sorted(best.items()))
 
 
 def rate_rows(rates: Rates) -> list[Row]:
@@ -337,7 +337,7 @@ def rate_rows(rates: Rates) -> list[Row]:
         row = {"": f"{case.dimension}D", "particles": f"{case.particles:,}", "scenes": str(case.scenes)}
         for precision, threads in used:
             place = f"{threads} thread{'s' * (threads > 1)}" if threads else "GPU"
-            found = rates.get((case, (precision, threads)))
-            row[f"{precision}, {place}"] = f"{found:.1f}" if found else "-"
+            spread = rates.get((case, (precision, threads)))
+            row[f"{precision}, {place}"] = f"{spread:.1f}" if spread else "-"
         rows.append(row)
     return rows

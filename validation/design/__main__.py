@@ -33,10 +33,10 @@ def main(problem: str, /, *, out: Path, scheduler: str | None = None) -> None:
 
     asked = read_design(problem)
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:
-        found = find_design(asked, out, simulate=simulate)
-    print("\n  ".join(summary(found)))
-    if found.verdict is not Verdict.CONFIRMED:
-        raise WorkFailed(f"the design is {found.verdict}; what it gives is in {out}/report.md")
+        design = find_design(asked, out, simulate=simulate)
+    print("\n  ".join(summary(design)))
+    if design.verdict is not Verdict.CONFIRMED:
+        raise WorkFailed(f"the design is {design.verdict}; what it gives is in {out}/report.md")
 
 
 if __name__ == "__main__":

@@ -58,27 +58,27 @@ def predictor(problem: DesignProblem, simulate: Simulate = simulate_many) -> Pre
 
 def coarse(limit: Limit, simulate: Simulate, scenes: Sequence[Scene]) -> list[float]:
     """By the MPM on larger cells."""
-    larger = [each.with_cell(COARSER * each.domain.cell) for each in scenes]
+    larger = [scene.with_cell(COARSER * scene.domain.cell) for scene in scenes]
     flows = simulate(larger, record=ALL if limit.force else LAST)
-    return [float(limit.kept(each).summary[limit.quantity]) for each in flows]
+    return [float(limit.kept(flow).summary[limit.quantity]) for flow in flows]
 
 
 def in_batches(device: str, quantity: str, scenes: Sequence[Scene]) -> list[float]:
     """By the surrogate, scenes of one size side by side in one batch, as a GPU wants them."""
-    model, found = known_model(shipped(scenes[0])).to(device), dict[int, float]()
-    begun = [initial_state(each, model.settings) for each in scenes]
-    for units in {each.conditions.units for each in begun}:
-        numbers = [number for number, each in enumerate(begun) if each.conditions.units == units]
+    model, responses = known_model(shipped(scenes[0])).to(device), dict[int, float]()
+    begun = [initial_state(scene, model.settings) for scene in scenes]
+    for units in {start.conditions.units for start in begun}:
+        numbers = [number for number, start in enumerate(begun) if start.conditions.units == units]
         starts = [begun[number] for number in numbers]
-        state = State.joined([each.state for each in starts]).to(device)
-        conditions = Conditions.joined([each.conditions for each in starts]).to(device)
+        state = State.joined([start.state for start in starts]).to(device)
+        conditions = Conditions.joined([start.conditions for start in starts]).to(device)
         with torch.no_grad():
             moved = unroll(model, state, conditions, starts[0].steps)[-1].cpu().numpy()
-        ends = np.cumsum([len(each.indices) for each in starts])[:-1]
+        ends = np.cumsum([len(start.indices) for start in starts])[:-1]
         for number, deposit, start in zip(numbers, np.split(moved, ends), starts, strict=True):
             extents = measures.extents(start.scene, deposit, start.conditions.volume.numpy())
-            found[number] = float(extents[quantity])
-    return [found[number] for number in range(len(scenes))]
+            responses[number] = float(extents[quantity])
+    return [responses[number] for number in range(len(scenes))]
 
 
 def on_processors(quantity: str, scenes: Sequence[Scene]) -> list[float]:

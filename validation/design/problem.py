@@ -83,9 +83,9 @@ class Limit(Record):
         require(0.0 <= self.window <= scene.duration, "limit.window", f"up to {scene.duration:g} s", self.window)
         if self.force:
             names = solid_names(scene)
-            known = len(names) > 0 and self.solid in (None, *names)
+            valid = len(names) > 0 and self.solid in (None, *names)
             expected = f"one of {', '.join(names)}" if names else "a scene with solids"
-            require(known, "limit.solid", expected, repr(self.solid))
+            require(valid, "limit.solid", expected, repr(self.solid))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,20 +155,26 @@ class DesignProblem(_Keys):
 
     def __post_init__(self) -> None:
         groups = {"variables": self.variables, "uncertain": self.uncertain}
-        for group, own in groups.items():
-            require(len(own) > 0 or (group == "uncertain" and bool(self.fields)), group, "at least one number", "none")
-        by_key = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
-        for key, each in by_key.items():
-            require(each.initial is None, f"{key}.initial", "no start of a search", each.initial)
-            require(not each.is_field, f"{key}.spacing", "a number", "a field")
+        for group, members in groups.items():
+            require(
+                len(members) > 0 or (group == "uncertain" and bool(self.fields)), group, "at least one number", "none"
+            )
+        by_key = {
+            f"{group}[{index}]": parameter
+            for group, members in groups.items()
+            for index, parameter in enumerate(members)
+        }
+        for key, parameter in by_key.items():
+            require(parameter.initial is None, f"{key}.initial", "no start of a search", parameter.initial)
+            require(not parameter.is_field, f"{key}.spacing", "a number", "a field")
         for index, variable in enumerate(self.variables):
             require(variable.prior is None, f"variables[{index}].prior", "no prior of what is chosen", "one")
         check_parameters(self.scene, by_key, "variables")
         _ = self.prior
         self.limit.check(self.scene)
-        known = [each.name for each in self.variables]
+        names = [variable.name for variable in self.variables]
         for name in self.cost:
-            require(name in known, f"cost.{name}", f"one of the variables {', '.join(known)}", name)
+            require(name in names, f"cost.{name}", f"one of the variables {', '.join(names)}", name)
         fewest = 4 * len(self.numbers)
         require(self.runs >= fewest, "budget.runs", f"an integer of at least {fewest}", self.runs)
         predicted = self.surrogate != "none" or not self.fields
@@ -181,12 +187,12 @@ class DesignProblem(_Keys):
 
     @cached_property
     def kinds(self) -> list[Kind]:
-        return [each.kind for each in self.numbers]
+        return [number.kind for number in self.numbers]
 
     @cached_property
     def box(self) -> Box:
         """Of all of them and, where there are fields, of which draw of them: a share of these."""
-        return Box(*np.array([*(each.bounds for each in self.numbers), *([(0.0, 1.0)] if self.fields else [])]).T)
+        return Box(*np.array([*(number.bounds for number in self.numbers), *([(0.0, 1.0)] if self.fields else [])]).T)
 
     @property
     def joint(self) -> int:
@@ -197,7 +203,7 @@ class DesignProblem(_Keys):
     def prior(self) -> JointPrior | None:
         """Of the uncertain numbers but those of a posterior. Raises InputError, which names the key."""
         alone = self.uncertain[: len(self.uncertain) - self.joint]
-        return JointPrior({each.name: each.marginal for each in alone}, self.correlations) if alone else None
+        return JointPrior({number.name: number.marginal for number in alone}, self.correlations) if alone else None
 
     @property
     def unit(self) -> str:
@@ -222,7 +228,9 @@ class DesignProblem(_Keys):
 
     def named(self, design: Row) -> dict[str, float]:
         """The variables by name of a design [K] in fractions of the ranges."""
-        return {each.name: float(value) for each, value in zip(self.variables, self.values(design), strict=True)}
+        return {
+            variable.name: float(value) for variable, value in zip(self.variables, self.values(design), strict=True)
+        }
 
     def values(self, designs: Matrix) -> Matrix:
         """The variables of designs [..., K] in fractions of their ranges, in their own units, shape [..., K]."""
@@ -231,7 +239,9 @@ class DesignProblem(_Keys):
 
     def price(self, designs: Matrix) -> Row:
         """c . d of designs [..., K] in fractions of their ranges, shape [...]; 0 without a cost."""
-        return np.asarray(self.values(designs) @ np.array([self.cost.get(each.name, 0.0) for each in self.variables]))
+        return np.asarray(
+            self.values(designs) @ np.array([self.cost.get(variable.name, 0.0) for variable in self.variables])
+        )
 
     def draws(self, count: int, rng: np.random.Generator) -> Matrix:
         """Draws of what is uncertain, in fractions of the ranges: one in each of `count` parts, shape [count, Q].
@@ -239,11 +249,11 @@ class DesignProblem(_Keys):
         The parts are as likely, of every number (McKay, Beckman & Conover, A comparison of three methods for selecting
         values of input variables, Technometrics 21 (1979) 239-245); those of a posterior, of the first of its numbers.
         """
-        alone, known = len(self.uncertain) - self.joint, len(self.variables)
+        alone, offset = len(self.uncertain) - self.joint, len(self.variables)
         levels = qmc.LatinHypercube(alone + (self.joint > 0) + bool(self.fields), rng=rng).random(count)
         parts = [] if self.prior is None else [self.prior.at(levels[:, :alone])]
         if self.samples is not None:
-            ordered = (self.samples - self.box.lower[known + alone :]) / self.box.range[known + alone :]
+            ordered = (self.samples - self.box.lower[offset + alone :]) / self.box.range[offset + alone :]
             parts.append(ordered[np.argsort(ordered[:, 0])][(levels[:, alone] * len(ordered)).astype(int)])
         if self.fields:
             parts.append(levels[:, -1:])
@@ -275,30 +285,32 @@ def read_design(name: str | Path) -> DesignProblem:
     path = find(str(name), DESIGNS, "design problem")
     with naming(path):
         file = from_mapping(DesignFile, read_toml(path))
-        own = dict(vars(file))
-        if (posterior := own.pop("posterior")) is not None:
-            names, own["samples"] = read_samples(path.parent / posterior)
-            ranges = zip(names, own["samples"].min(axis=0), own["samples"].max(axis=0), strict=True)
-            own["uncertain"] += tuple(Parameter(name=n, lower=float(low), upper=float(high)) for n, low, high in ranges)
-        own["fields"] = () if file.fields is None else read_fields(file.fields, path.parent)
+        keys = dict(vars(file))
+        if (posterior := keys.pop("posterior")) is not None:
+            names, keys["samples"] = read_samples(path.parent / posterior)
+            ranges = zip(names, keys["samples"].min(axis=0), keys["samples"].max(axis=0), strict=True)
+            keys["uncertain"] += tuple(
+                Parameter(name=n, lower=float(low), upper=float(high)) for n, low, high in ranges
+            )
+        keys["fields"] = () if file.fields is None else read_fields(file.fields, path.parent)
         if isinstance(file.scene, str):
             beside = path.parent / file.scene
-            own["scene"] = read_scene(beside if file.scene.endswith(".toml") else find(file.scene, SCENES, "scene"))
+            keys["scene"] = read_scene(beside if file.scene.endswith(".toml") else find(file.scene, SCENES, "scene"))
         else:
-            own["scene"] = scene_from(file.scene, path.parent)
-        return DesignProblem(name=path.stem, **own)
+            keys["scene"] = scene_from(file.scene, path.parent)
+        return DesignProblem(name=path.stem, **keys)
 
 
 def read_fields(file: FieldFile, folder: Path) -> tuple[tuple[UnknownField, Matrix], ...]:
     """The unknown fields of an inverse problem with their draws. Raises InputError."""
-    own = folder / file.problem
+    path = folder / file.problem
     with keyed("fields"):
-        unknowns = read_problem(str(own) if file.problem.endswith(".toml") else file.problem).fields
+        unknowns = read_problem(str(path) if file.problem.endswith(".toml") else file.problem).fields
         require(len(unknowns) > 0, "problem", "an inverse problem with unknown fields", "one without")
         names = [f"{number}_draws" for number in range(len(unknowns))]
-        found = read_arrays(folder / file.draws, *names, what="the fields of validation.loop")
-        draws = [found[name].astype(np.float64) for name in names]
-        for unknown, each in zip(unknowns, draws, strict=True):
-            fits = each.ndim == 2 and each.shape[1] == unknown.grid.count and len(each) == len(draws[0]) > 0
-            require(fits, "draws", f"draws of the {unknown.grid.count} values of {unknown.settings.name}", each.shape)
+        arrays = read_arrays(folder / file.draws, *names, what="the fields of validation.loop")
+        draws = [arrays[name].astype(np.float64) for name in names]
+        for unknown, values in zip(unknowns, draws, strict=True):
+            fits = values.ndim == 2 and values.shape[1] == unknown.grid.count and len(values) == len(draws[0]) > 0
+            require(fits, "draws", f"draws of the {unknown.grid.count} values of {unknown.settings.name}", values.shape)
     return tuple(zip(unknowns, draws, strict=True))

@@ -65,7 +65,7 @@ class Race:
         self.errors = np.zeros(1)
         """e [P]."""
         self.entries = [
-            Entry(each) for each in qmc.Sobol(len(problem.variables), rng=problem.budget.seed).random(DESIGNS)
+            Entry(design) for design in qmc.Sobol(len(problem.variables), rng=problem.budget.seed).random(DESIGNS)
         ]
         self.spent, self.rounds = 0, 0
 
@@ -92,13 +92,13 @@ class Race:
     @property
     def settled(self) -> list[Entry]:
         """The designs that are known well."""
-        return [each for each in self.entries if len(each.responses) >= SETTLED]
+        return [entry for entry in self.entries if len(entry.responses) >= SETTLED]
 
     @property
     def best(self) -> Entry:
         """The best of those that are known well and good enough, else the most reliable one."""
         settled = self.settled or self.entries
-        good = [each for each in settled if self.probability(each) >= self.problem.required]
+        good = [entry for entry in settled if self.probability(entry) >= self.problem.required]
         return min(good, key=self.rank) if good else max(settled, key=self.probability)
 
     def run(self, predictions: int) -> None:
@@ -121,23 +121,23 @@ class Race:
 
     def leaders(self) -> list[Entry]:
         """Designs that may be the best one and have draws left, the best first."""
-        best, able = self.best, [each for each in self.entries if len(each.responses) < MOST]
-        may = [each for each in able if self.highest(each) >= self.problem.required]
+        best, able = self.best, [entry for entry in self.entries if len(entry.responses) < MOST]
+        may = [entry for entry in able if self.highest(entry) >= self.problem.required]
         if self.problem.cost and self.probability(best) >= self.problem.required and len(best.responses) >= SETTLED:
-            may = [each for each in may if self.rank(each)[0] < self.rank(best)[0]] or [best]
+            may = [entry for entry in may if self.rank(entry)[0] < self.rank(best)[0]] or [best]
         # Those that seem good enough, then those that are nearest to it.
-        good = [each for each in may if self.probability(each) >= self.problem.required]
-        others = sorted((each for each in may or able if each not in good), key=self.probability, reverse=True)
+        good = [entry for entry in may if self.probability(entry) >= self.problem.required]
+        others = sorted((entry for entry in may or able if entry not in good), key=self.probability, reverse=True)
         return [*sorted(good, key=self.rank), *others]
 
     def advance(self, entries: list[Entry]) -> None:
         """More draws of each."""
-        pieces = [self.draws[len(each.responses) :][: NEXT if len(each.responses) else FIRST] for each in entries]
-        points = [with_draws(each.design, piece) for each, piece in zip(entries, pieces, strict=True)]
-        found = self.predict(np.concatenate(points))
-        ends = np.cumsum([len(each) for each in pieces])
-        for each, own in zip(entries, np.split(found, ends[:-1]), strict=True):
-            each.responses = np.append(each.responses, own)
+        pieces = [self.draws[len(entry.responses) :][: NEXT if len(entry.responses) else FIRST] for entry in entries]
+        points = [with_draws(entry.design, piece) for entry, piece in zip(entries, pieces, strict=True)]
+        responses = self.predict(np.concatenate(points))
+        ends = np.cumsum([len(piece) for piece in pieces])
+        for entry, added in zip(entries, np.split(responses, ends[:-1]), strict=True):
+            entry.responses = np.append(entry.responses, added)
         self.spent += int(ends[-1])
 
 
@@ -174,9 +174,9 @@ def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, i
     def timed(points: Matrix) -> Row:
         nonlocal predicting
         start = time.perf_counter()
-        found = predict(points)
+        responses = predict(points)
         predicting += time.perf_counter() - start
-        return found
+        return responses
 
     race.predict = timed
     count = problem.budget.pairs
@@ -191,7 +191,7 @@ def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, i
         points = with_draws(best.design, draws)
         shown = respond(points, len(theirs))
         ours, theirs = np.append(ours, timed(points)), np.append(theirs, shown)
-        found = RacedDesign(
+        design = RacedDesign(
             problem=problem,
             race=race,
             winner=best,
@@ -202,6 +202,6 @@ def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, i
             seconds=time.perf_counter() - began,
             predicting=predicting,
         )
-        if found.verdict is not Verdict.UNCONFIRMED:
+        if design.verdict is not Verdict.UNCONFIRMED:
             break
-    return found
+    return design

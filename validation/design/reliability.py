@@ -85,7 +85,7 @@ class Reliability:
 
     def moments(self, points: Matrix) -> tuple[Row, Row, Row]:
         """m, V and s^2 at points [S, K + Q], each of shape [S]."""
-        mean, variance = (each[:, 0] for each in self.emulator.predict(points))
+        mean, variance = (moment[:, 0] for moment in self.emulator.predict(points))
         ratio = self.emulator.variance_ratio(points)[:, 0]
         return mean, variance, ratio * (variance + self.emulator.scatter[0, 0])
 
@@ -104,7 +104,7 @@ class Reliability:
         demanded = NonlinearConstraint(lambda x: cautious(x)[None], problem.required, np.inf)
         count = len(problem.variables)
         start = qmc.Sobol(count, seed=rng).random_base2(max(4, (POPULATION * count - 1).bit_length()))
-        found = differential_evolution(
+        optimum = differential_evolution(
             (lambda x: problem.price(x.T)) if problem.cost else (lambda x: -cautious(x)),
             [(0.0, 1.0)] * count,
             constraints=demanded if problem.cost else (),
@@ -115,7 +115,7 @@ class Reliability:
             vectorized=True,
             rng=rng,
         )
-        return np.asarray(found.x)
+        return np.asarray(optimum.x)
 
     @cached_property
     def expected(self) -> float:

@@ -69,8 +69,8 @@ class Checked:
     @property
     def interval(self) -> tuple[float, float]:
         """Of the probability that the limit is kept, by the check (Clopper & Pearson, 95 %)."""
-        found = binomtest(len(self.responses) - self.exceeding, len(self.responses)).proportion_ci(0.95)
-        return float(found.low), float(found.high)
+        bounds = binomtest(len(self.responses) - self.exceeding, len(self.responses)).proportion_ci(0.95)
+        return float(bounds.low), float(bounds.high)
 
     @property
     def verdict(self) -> Verdict:
@@ -122,7 +122,7 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
         points = with_draws(search.knowledge.best, draws)
         # Checks are no part of the budget.
         search = replace(search, budget=search.budget + len(points)).ran(points)
-        found = Design(
+        design = Design(
             problem=problem,
             search=search,
             best=search.knowledge.best,
@@ -130,9 +130,9 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
             responses=search.numbers[-len(points) :, 0],
             seconds=time.perf_counter() - began,
         )
-        if found.verdict is not Verdict.UNCONFIRMED:
+        if design.verdict is not Verdict.UNCONFIRMED:
             break
-    return found
+    return design
 
 
 def searched(search: WaveSearch[ModelRun, Reliability]) -> WaveSearch[ModelRun, Reliability]:
@@ -143,7 +143,7 @@ def searched(search: WaveSearch[ModelRun, Reliability]) -> WaveSearch[ModelRun, 
 
     def next_wave(state: WaveSearch[ModelRun, Reliability]) -> Matrix | None:
         last = state.waves[before:][-3:]
-        calm = [each.decided and abs(each.price - other.price) <= change for other, each in pairwise(last)]
+        calm = [wave.decided and abs(wave.price - other.price) <= change for other, wave in pairwise(last)]
         if calm == [True, True] or state.left == 0:
             return None
         size = min(CONSTANTS.wave + len(problem.numbers), state.left)

@@ -46,158 +46,162 @@ def find_design(
 
         def respond(points: Matrix, first: int) -> Row:
             flows[:] = store(asked.scenes_at(points, first), record=ALL if limit.force else LAST)
-            return np.array([each.summary[limit.quantity] for each in flows])
+            return np.array([flow.summary[limit.quantity] for flow in flows])
 
         if asked.surrogate == "none":
-            found: Design | RacedDesign = designed(asked, respond)
+            outcome: Design | RacedDesign = designed(asked, respond)
         else:
-            found = raced(asked, predictor(asked, simulate), respond)
+            outcome = raced(asked, predictor(asked, simulate), respond)
         # The last flows are those of the check.
         remarks = caveats(flows)
         # On deposits, which a force does not depend on.
         if remarks and not limit.force:
-            found = replace(found, remark=remarks[0])
+            outcome = replace(outcome, remark=remarks[0])
         if out is not None:
-            write_json(folder / "design.json", record(found))
-            write_text(folder / "report.md", report(found))
-            if isinstance(found, Design):
-                draw(found, folder / "design.png")
+            write_json(folder / "design.json", record(outcome))
+            write_text(folder / "report.md", report(outcome))
+            if isinstance(outcome, Design):
+                draw(outcome, folder / "design.png")
             else:
-                draw_race(found, folder / "design.png")
-    return found
+                draw_race(outcome, folder / "design.png")
+    return outcome
 
 
-def record(found: Design | RacedDesign) -> dict[str, Any]:
+def record(outcome: Design | RacedDesign) -> dict[str, Any]:
     """`design.json`."""
-    problem, own = found.problem, dict[str, Any]()
-    if isinstance(found, Design):
-        expected = {"emulator": found.expected, "cautious": found.reliability.cautious}
-        values = problem.box.at(found.points)[:, len(problem.variables) :].tolist()
-        names = [each.name for each in problem.uncertain]
-        own["checks"] = [
+    problem, extra = outcome.problem, dict[str, Any]()
+    if isinstance(outcome, Design):
+        expected = {"emulator": outcome.expected, "cautious": outcome.reliability.cautious}
+        values = problem.box.at(outcome.points)[:, len(problem.variables) :].tolist()
+        names = [number.name for number in problem.uncertain]
+        extra["checks"] = [
             {"uncertain": dict(zip(names, row, strict=True)), "response": float(response)}
-            for row, response in zip(values, found.responses, strict=True)
+            for row, response in zip(values, outcome.responses, strict=True)
         ]
-        own["waves"] = [each.as_json() for each in found.search.waves]
+        extra["waves"] = [wave.as_json() for wave in outcome.search.waves]
     else:
-        expected = {"predicted": found.expected}
-        own["checks"] = found.responses.tolist()
-        own["pairs"] = {"predicted": found.pairs[0].tolist(), "mpm": found.pairs[1].tolist()}
-        own |= {"predictions": found.race.spent, "designs": len(found.race.entries), "predicting": found.predicting}
+        expected = {"predicted": outcome.expected}
+        extra["checks"] = outcome.responses.tolist()
+        extra["pairs"] = {"predicted": outcome.pairs[0].tolist(), "mpm": outcome.pairs[1].tolist()}
+        extra |= {
+            "predictions": outcome.race.spent,
+            "designs": len(outcome.race.entries),
+            "predicting": outcome.predicting,
+        }
     return {
         "problem": problem.name,
-        "verdict": found.verdict,
-        "design": found.design,
-        "cost": found.price,
+        "verdict": outcome.verdict,
+        "design": outcome.design,
+        "cost": outcome.price,
         "limit": {"quantity": problem.limit.quantity, "below": problem.limit.below, "unit": problem.unit},
         "probability": {
             "asked": problem.limit.probability,
             "required": problem.required,
             **expected,
-            "mpm": 1.0 - found.exceeding / len(found.responses),
-            "interval": found.interval,
+            "mpm": 1.0 - outcome.exceeding / len(outcome.responses),
+            "interval": outcome.interval,
         },
-        "exceeding": found.exceeding,
+        "exceeding": outcome.exceeding,
         "allowed": problem.allowed,
-        **own,
-        "runs": found.spent,
-        "seconds": found.seconds,
-        "remark": found.remark or None,
+        **extra,
+        "runs": outcome.spent,
+        "seconds": outcome.seconds,
+        "remark": outcome.remark or None,
     }
 
 
-def summary(found: Design | RacedDesign) -> list[str]:
+def summary(outcome: Design | RacedDesign) -> list[str]:
     """The outcome in sentences, for the terminal and the report."""
-    problem, limit, checks = found.problem, found.problem.limit, len(found.responses)
-    both = zip(problem.kinds, found.design.items(), strict=False)
+    problem, limit, checks = outcome.problem, outcome.problem.limit, len(outcome.responses)
+    both = zip(problem.kinds, outcome.design.items(), strict=False)
     design = ", ".join(f"{name} = {kind.text(value)}" for kind, (name, value) in both)
-    cost = f"; cost {found.price:.4g}" if problem.cost else ""
-    low, high = found.interval
-    if isinstance(found, Design):
-        known = found.reliability
+    cost = f"; cost {outcome.price:.4g}" if problem.cost else ""
+    low, high = outcome.interval
+    if isinstance(outcome, Design):
+        model = outcome.reliability
         before = (
-            f"by the emulator of {100.0 * known.expected:.1f} % ({100.0 * known.cautious:.1f} % where its mean is a "
+            f"by the emulator of {100.0 * model.expected:.1f} % ({100.0 * model.cautious:.1f} % where its mean is a "
             "standard deviation too small)"
         )
-        spent = f"{found.spent} runs for the emulator, {len(found.search.runs) - found.spent} of checks"
+        spent = f"{outcome.spent} runs for the emulator, {len(outcome.search.runs) - outcome.spent} of checks"
     else:
-        race, share = found.race, 100.0 * found.expected
+        race, share = outcome.race, 100.0 * outcome.expected
         before = (
-            f"by {len(found.winner.responses)} of {race.spent} predictions, over {len(race.entries)} designs, of "
+            f"by {len(outcome.winner.responses)} of {race.spent} predictions, over {len(race.entries)} designs, of "
             f"{share:.1f} %; the MPM differs from predictions by {race.errors.mean():+.3g} {problem.unit} on average "
             f"and {race.errors.std():.3g} about that, which is counted"
         )
-        spent = f"{found.spent} runs of the MPM; the predictions took {found.predicting:.0f} of"
+        spent = f"{outcome.spent} runs of the MPM; the predictions took {outcome.predicting:.0f} of"
     lines = [
-        f"{problem.name}: {found.verdict}",
+        f"{problem.name}: {outcome.verdict}",
         f"design: {design}{cost}",
         f"{limit.quantity} below {limit.below:g} {problem.unit}: asked of {100.0 * limit.probability:g} % of the flows",
         before,
-        f"by the MPM of {checks - found.exceeding} of {checks} fresh flows, so of {100.0 * low:.1f} to "
-        f"{100.0 * high:.1f} % (95 %): {found.exceeding} exceed it where {problem.allowed} may, the largest is "
-        f"{found.responses.max():.4g} {problem.unit}",
-        f"{spent}{',' if isinstance(found, Design) else ''} {found.seconds:.0f} s",
+        f"by the MPM of {checks - outcome.exceeding} of {checks} fresh flows, so of {100.0 * low:.1f} to "
+        f"{100.0 * high:.1f} % (95 %): {outcome.exceeding} exceed it where {problem.allowed} may, the largest is "
+        f"{outcome.responses.max():.4g} {problem.unit}",
+        f"{spent}{',' if isinstance(outcome, Design) else ''} {outcome.seconds:.0f} s",
     ]
-    return [*lines, found.remark] if found.remark else lines
+    return [*lines, outcome.remark] if outcome.remark else lines
 
 
-def report(found: Design | RacedDesign) -> str:
+def report(outcome: Design | RacedDesign) -> str:
     """`report.md`: the outcome; the ranges and the waves, or the designs of the most predictions."""
-    problem, (title, *lines) = found.problem, summary(found)
-    if isinstance(found, Design):
+    problem, (title, *lines) = outcome.problem, summary(outcome)
+    if isinstance(outcome, Design):
         shown = "probability over the variables, responses of the check over what is uncertain"
-        ranges = [{"number": each.name, "lower": each.lower, "upper": each.upper} for each in problem.numbers]
+        ranges = [{"number": number.name, "lower": number.lower, "upper": number.upper} for number in problem.numbers]
         parts = [markdown_table(ranges, disable_numparse=False)]
-        keys, waves = ("runs", "probability", "cautious"), map(Reliability.as_json, found.search.waves)
-        rows = [each["design"] | {key: each[key] for key in keys} for each in waves]
+        keys, waves = ("runs", "probability", "cautious"), map(Reliability.as_json, outcome.search.waves)
+        rows = [wave["design"] | {key: wave[key] for key in keys} for wave in waves]
     else:
-        shown, race = "probability of the designs; what the MPM says of the same flows as the predictions", found.race
+        shown, race = "probability of the designs; what the MPM says of the same flows as the predictions", outcome.race
         parts = ["## Designs of the most predictions"]
         rows = [
-            problem.named(each.design)
-            | {"predictions": len(each.responses), "probability": race.probability(each)}
-            | ({"cost": float(problem.price(each.design))} if problem.cost else {})
-            for each in sorted(race.settled, key=race.rank)
+            problem.named(entry.design)
+            | {"predictions": len(entry.responses), "probability": race.probability(entry)}
+            | ({"cost": float(problem.price(entry.design))} if problem.cost else {})
+            for entry in sorted(race.settled, key=race.rank)
         ]
     parts = ["\n".join(f"- {line}" for line in lines), f"![{shown}](design.png)", *parts]
     return "\n\n".join([f"# {title}", *parts, markdown_table(rows, disable_numparse=False, floatfmt=".4g")]) + "\n"
 
 
-def draw_race(found: RacedDesign, path: Path) -> None:
+def draw_race(outcome: RacedDesign, path: Path) -> None:
     """P of each design over its cost, and the MPM over the predictions of the same flows."""
-    problem, race = found.problem, found.race
+    problem, race = outcome.problem, outcome.race
     with figure(path, rows=1, columns=2, size=(3.6, 3.2)) as axes:
         left, right = axes.flat
-        prices = problem.price(np.stack([each.design for each in race.entries]))
-        sizes = [4.0 + len(each.responses) / 16.0 for each in race.entries]
-        left.scatter(prices, [race.probability(each) for each in race.entries], s=sizes, c=BLUE)
-        left.scatter(found.price, found.expected, c=ORANGE)
+        prices = problem.price(np.stack([entry.design for entry in race.entries]))
+        sizes = [4.0 + len(entry.responses) / 16.0 for entry in race.entries]
+        left.scatter(prices, [race.probability(entry) for entry in race.entries], s=sizes, c=BLUE)
+        left.scatter(outcome.price, outcome.expected, c=ORANGE)
         left.axhline(problem.required, color=GREY, linestyle="--")
         left.set(xlabel="cost", ylabel="probability", ylim=(0.0, 1.02))
-        right.scatter(*found.pairs, s=10, c=BLUE)
-        ends = [float(min(map(np.min, found.pairs))), float(max(map(np.max, found.pairs)))]
+        right.scatter(*outcome.pairs, s=10, c=BLUE)
+        ends = [float(min(map(np.min, outcome.pairs))), float(max(map(np.max, outcome.pairs)))]
         right.plot(ends, ends, color=GREY)
         right.axhline(problem.limit.below, color=GREY, linestyle="--")
         names = f"{problem.limit.quantity} [{problem.unit}]"
         right.set(xlabel=f"predicted {names}", ylabel=f"MPM, {names}")
 
 
-def draw(found: Design, path: Path) -> None:
+def draw(outcome: Design, path: Path) -> None:
     """P by the emulator along each variable through the design; responses of the check over what is uncertain."""
-    problem, reliability, known = found.problem, found.reliability, len(found.problem.variables)
-    values, limit = problem.box.at(found.points), problem.limit
-    colours = np.where(found.responses >= limit.below, ORANGE, BLUE)
-    with figure(path, rows=2, columns=max(known, len(problem.uncertain)), size=(3.2, 3.0)) as axes:
+    problem, reliability, count = outcome.problem, outcome.reliability, len(outcome.problem.variables)
+    values, limit = problem.box.at(outcome.points), problem.limit
+    colours = np.where(outcome.responses >= limit.below, ORANGE, BLUE)
+    with figure(path, rows=2, columns=max(count, len(problem.uncertain)), size=(3.2, 3.0)) as axes:
         for axis in axes.flat:
             axis.set_visible(False)
-        for index, (axis, name) in enumerate(zip(axes[0], found.design, strict=False)):
+        for index, (axis, name) in enumerate(zip(axes[0], outcome.design, strict=False)):
             designs = np.tile(reliability.best, (STATIONS, 1))
             designs[:, index] = np.linspace(0.0, 1.0, STATIONS)
             axis.plot(problem.values(designs)[:, index], reliability.probability(designs))
             axis.axhline(limit.probability, color=GREY, linestyle="--")
-            axis.axvline(found.design[name], color=ORANGE)
+            axis.axvline(outcome.design[name], color=ORANGE)
             axis.set(xlabel=name, ylabel="probability", ylim=(0.0, 1.02), visible=True)
-        for axis, each, row in zip(axes[1], problem.uncertain, values[:, known:].T, strict=False):
-            axis.scatter(row, found.responses, s=10, c=colours)
+        for axis, number, row in zip(axes[1], problem.uncertain, values[:, count:].T, strict=False):
+            axis.scatter(row, outcome.responses, s=10, c=colours)
             axis.axhline(limit.below, color=GREY, linestyle="--")
-            axis.set(xlabel=each.name, ylabel=f"{limit.quantity} [{problem.unit}]", visible=True)
+            axis.set(xlabel=number.name, ylabel=f"{limit.quantity} [{problem.unit}]", visible=True)

@@ -150,9 +150,9 @@ class Measured(Record):
         missing = self.quantity is Quantity.HEIGHT and self.within is None
         require(not missing, "within", "a value, a height needs one", "none")
         for kind, at, values in ((Quantity.PROFILE, "x", "heights"), (Quantity.RADII, "times", "radii")):
-            count, known = len(getattr(self, at)), len(getattr(self, values))
-            ok = self.quantity is not kind or count == known > 1
-            require(ok, values, f"as many {values} as {at}, {count}, and two or more", known)
+            count, size = len(getattr(self, at)), len(getattr(self, values))
+            ok = self.quantity is not kind or count == size > 1
+            require(ok, values, f"as many {values} as {at}, {count}, and two or more", size)
         ascending = all(earlier < later for earlier, later in itertools.pairwise(self.x))
         require(ascending, "x", "lengths that ascend", list(self.x))
         require(not self.single or self.value > 0.0, "value", "a positive length in m", f"{self.value:g}")
@@ -241,9 +241,9 @@ class Experiment(Record):
         """
         return tuple(
             Reading(
-                name=each.name, deg=each.deg, angle=each.angle, rate=each.name == REPOSE and self.grains is not None
+                name=angle.name, deg=angle.deg, angle=angle.angle, rate=angle.name == REPOSE and self.grains is not None
             )
-            for each in self.angles
+            for angle in self.angles
         )
 
     def scene(self, case: Case, number: int, reading: Reading) -> Scene:
@@ -286,7 +286,7 @@ def quantity(measured: Measured, flow: Trajectory) -> float:
     if measured.quantity is Quantity.RADIUS:
         return radius(positions, flow.volumes)
     if measured.quantity is Quantity.RADII:
-        computed = np.interp(measured.times, flow.time, [radius(each, flow.volumes) for each in flow.positions])
+        computed = np.interp(measured.times, flow.time, [radius(frame, flow.volumes) for frame in flow.positions])
         return float(np.sqrt(np.mean((computed - measured.radii) ** 2)))
     if measured.quantity is Quantity.HEIGHT:
         strip = positions[positions[:, 0] < measured.within, 1].astype(np.float64)

@@ -51,8 +51,8 @@ def main(
 
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:
         options = {"draws": draws, "model_error": model_error, "threshold": threshold, "pressure": pressure}
-        found = forecast_scene(result, scene, out, simulate=simulate, **options)  # type: ignore[arg-type]
-    print("\n".join(summary(found)))
+        forecast = forecast_scene(result, scene, out, simulate=simulate, **options)  # type: ignore[arg-type]
+    print("\n".join(summary(forecast)))
 
 
 if __name__ == "__main__":

@@ -80,13 +80,13 @@ class Forecast:
         """y of each number, sorted, shape [S]."""
         rng, count = np.random.default_rng([self.scene.seed, 3]), len(self.draws)
         cells, model = (norm.ppf((rng.permutation(count) + 0.5) / count) for _ in range(2))
-        found = {}
+        numbers = {}
         for name, values in self.numbers.items():
             start, least = (self.start, -np.inf) if name == "front" else (0.0, 0.0)
             moved = values + cells * self.cells.get(name, 0.0) - start
             # Heights and forces are not negative.
-            found[name] = np.sort(np.maximum(start + moved * (1.0 + self.model_error * model), least))
-        return found
+            numbers[name] = np.sort(np.maximum(start + moved * (1.0 + self.model_error * model), least))
+        return numbers
 
     def as_json(self) -> dict[str, Any]:
         """`forecast.json`."""
@@ -120,7 +120,7 @@ def quantiles(values: Floats, level: float) -> list[Any]:
     Floats, or arrays of the other axes.
     """
     ends = np.quantile(values, [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0, method="weibull")
-    return [float(each) if each.ndim == 0 else each for each in ends]
+    return [float(end) if end.ndim == 0 else end for end in ends]
 
 
 def predicted(
@@ -146,11 +146,11 @@ def predicted(
     )
     numbers, stations = [numbers_of(flow) for flow in flows], profile_stations(scene, scene.domain.cell)
     released, corner = initial_particles(scene), float(scene.domain.corner[0])
-    found = Forecast(
+    forecast = Forecast(
         scene=scene,
         names=tuple(names),
         draws=chosen,
-        numbers={name: np.array([each[name] for each in numbers]) for name in numbers[0]},
+        numbers={name: np.array([entry[name] for entry in numbers]) for name in numbers[0]},
         start=corner + front(released.positions, released.volume),
         stations=corner + stations,
         profiles=np.stack([profile_of(flow, stations) for flow in flows]),
@@ -158,7 +158,7 @@ def predicted(
         model_error=model_error,
         remarks=(*remarks, *caveats(flows), *filter(None, [flows[0].summary.get("drainage")])),
     )
-    return found if scene.dimension == 2 else with_maps(found, flows, threshold, pressure)
+    return forecast if scene.dimension == 2 else with_maps(forecast, flows, threshold, pressure)
 
 
 def recording_of(scene: Scene) -> Recording:
@@ -180,15 +180,15 @@ def numbers_of(flow: Trajectory) -> dict[str, float]:
     """The numbers of a forecast that a flow has."""
     scene, last, volumes = flow.scene, flow.positions[-1], flow.volumes
     inside = within(flow)
-    found = {
+    numbers = {
         "front": float(scene.domain.corner[0]) + front(last[inside], volumes[inside]),
         "mean_height": height_of(scene, last[inside], volumes[inside]),
     }
     if solids := solid_names(scene):
         forces = forces_of(flow)
         peaks = dict(zip(forces.names, (value for value, _ in forces.peaks), strict=True))
-        found |= {f"force {name}": peaks[name] for name in solids}
-    return found
+        numbers |= {f"force {name}": peaks[name] for name in solids}
+    return numbers
 
 
 def height_of(scene: Scene, positions: Floats, volumes: Floats) -> float:
@@ -221,29 +221,29 @@ def cells_error(
     scene: Scene, names: Sequence[str], median: Floats, store: RunStore, record: Recording
 ) -> dict[str, float]:
     """d of each number, from runs at the medians; none where the box does not divide into other cells."""
-    own = scene.domain.cell
-    other = OTHER_CELLS[scene.dimension] * own
+    edge = scene.domain.cell
+    other = OTHER_CELLS[scene.dimension] * edge
     try:
-        scenes = [at(scene.with_cell(cell), names, median, seed) for cell in (own, other) for seed in range(CHECKS)]
+        scenes = [at(scene.with_cell(cell), names, median, seed) for cell in (edge, other) for seed in range(CHECKS)]
     except InputError:
         return {}
     flows = [numbers_of(flow) for flow in store(scenes, record=record)]
     here, there = (
-        {name: float(np.mean([each[name] for each in part])) for name in part[0]}
+        {name: float(np.mean([entry[name] for entry in part])) for name in part[0]}
         for part in (flows[:CHECKS], flows[CHECKS:])
     )
-    return {name: abs(own / (own - other) * (here[name] - there[name])) for name in here}
+    return {name: abs(edge / (edge - other) * (here[name] - there[name])) for name in here}
 
 
 def with_maps(
-    found: Forecast, flows: Sequence[Trajectory], threshold: float | None, pressure: float | None
+    forecast: Forecast, flows: Sequence[Trajectory], threshold: float | None, pressure: float | None
 ) -> Forecast:
     """The forecast with its maps of probability."""
     counts: dict[str, Floats] = {}
     for flow in flows:
-        maps = maps_of(flow, found.scene.domain.cell, threshold=threshold)
+        maps = maps_of(flow, forecast.scene.domain.cell, threshold=threshold)
         hit = {"thickness": maps.thickness > maps.threshold, "depth": maps.depth > maps.threshold}
         if pressure is not None and maps.velocity is not None:
-            hit["pressure"] = found.scene.material.density * maps.velocity**2 > pressure
+            hit["pressure"] = forecast.scene.material.density * maps.velocity**2 > pressure
         counts = {name: counts.get(name, 0.0) + where / len(flows) for name, where in hit.items()}
-    return replace(found, maps=maps, covered=counts)
+    return replace(forecast, maps=maps, covered=counts)

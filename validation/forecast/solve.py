@@ -59,7 +59,7 @@ def forecast_scene(
         raise InputError("expected a scene in 3D, a flow in 2D has no maps", key=key)
     names, samples, remarks = known_of(Path(result), asked)
     with kept(out) as folder:
-        found = predicted(
+        forecast = predicted(
             asked,
             names,
             samples,
@@ -71,8 +71,8 @@ def forecast_scene(
             remarks=remarks,
         )
         if out is not None:
-            save(found, folder, f"python -m validation.forecast {result} {scene} --out {out}")
-    return found
+            save(forecast, folder, f"python -m validation.forecast {result} {scene} --out {out}")
+    return forecast
 
 
 def known_of(result: Path, scene: Scene) -> tuple[list[str], Floats, list[str]]:
@@ -111,8 +111,8 @@ def in_scene(name: str, solids: Sequence[tuple[str | None, str]], scene: Scene) 
     if number is None or int(number[1]) >= len(solids):
         return name
     index, (called, form) = int(number[1]), solids[int(number[1])]
-    named = [called is not None and each.name == called for each in scene.solids]
-    for alike in (named, [each.kind == form for each in scene.solids]):
+    named = [called is not None and solid.name == called for solid in scene.solids]
+    for alike in (named, [solid.kind == form for solid in scene.solids]):
         if sum(alike) == 1:
             return f"solids[{alike.index(True)}]{name[number.end() :]}"
     same = index < len(scene.solids) and scene.solids[index].kind == form
@@ -120,17 +120,17 @@ def in_scene(name: str, solids: Sequence[tuple[str | None, str]], scene: Scene) 
     return name
 
 
-def save(found: Forecast, folder: Path, command: str) -> None:
+def save(forecast: Forecast, folder: Path, command: str) -> None:
     """Write `forecast.json`, `report.md`, `forecast.png` and the maps."""
     from datasets.exchange.rasters import write_raster
 
-    write_json(folder / "forecast.json", found.as_json())
-    if (maps := found.maps) is not None:
-        for name, values in found.covered.items():
+    write_json(folder / "forecast.json", forecast.as_json())
+    if (maps := forecast.maps) is not None:
+        for name, values in forecast.covered.items():
             path = folder / f"probability-{name}.tif"
             write_raster(path, values, maps.cell, maps.corner, maps.crs, f"probability of {name}", "-")
-    draw(found, folder / "forecast.png")
-    write_text(folder / "report.md", report(found, command))
+    draw(forecast, folder / "forecast.png")
+    write_text(folder / "report.md", report(forecast, command))
 
 
 def worded(name: str, value: float) -> str:
@@ -138,18 +138,18 @@ def worded(name: str, value: float) -> str:
     return f"{value:.1f}" if name == "front" and abs(value) >= ON_MAP else f"{value:.4g}"
 
 
-def summary(found: Forecast) -> list[str]:
+def summary(forecast: Forecast) -> list[str]:
     """The forecast in sentences."""
     lines = []
-    for name, number in found.as_json()["numbers"].items():
-        middle, low, high = (worded(name, each) for each in (number["median"], *number["interval"]))
+    for name, number in forecast.as_json()["numbers"].items():
+        middle, low, high = (worded(name, end) for end in (number["median"], *number["interval"]))
         said = f"{middle} {number['unit']}, 95 %: {low} to {high} {number['unit']}"
         lines.append(f"{name.replace('_', ' ')}: {said}")
-    lines.append(f"{len(found.draws)} flows with {', '.join(found.names)} drawn from the posterior")
-    return [*lines, *found.remarks]
+    lines.append(f"{len(forecast.draws)} flows with {', '.join(forecast.names)} drawn from the posterior")
+    return [*lines, *forecast.remarks]
 
 
-def report(found: Forecast, command: str) -> str:
+def report(forecast: Forecast, command: str) -> str:
     """`report.md`."""
     rows = [
         {
@@ -160,39 +160,39 @@ def report(found: Forecast, command: str) -> str:
             "error of the cells": "-" if number["cells"] is None else f"{number['cells']:.2g}",
             "unit": number["unit"],
         }
-        for name, number in found.as_json()["numbers"].items()
+        for name, number in forecast.as_json()["numbers"].items()
     ]
     parts = [
         "# Forecast",
-        "\n".join(f"- {line}" for line in summary(found)),
+        "\n".join(f"- {line}" for line in summary(forecast)),
         "![fronts of the flows; profile or map of probability](forecast.png)",
         markdown_table(rows),
         f"`{command}`",
     ]
-    if found.maps is not None:
-        parts.append(f"A cell of `probability-*.tif` is covered by more than {found.maps.threshold:.3g} m.")
+    if forecast.maps is not None:
+        parts.append(f"A cell of `probability-*.tif` is covered by more than {forecast.maps.threshold:.3g} m.")
     return "\n\n".join(parts) + "\n"
 
 
-def draw(found: Forecast, path: Path) -> None:
+def draw(forecast: Forecast, path: Path) -> None:
     """The fronts, and the band of the profile or the probability that a cell is covered."""
-    low, middle, high = quantiles(found.profiles, LEVELS["interval"])
+    low, middle, high = quantiles(forecast.profiles, LEVELS["interval"])
     with figure(path, columns=2, size=(5.5, 3.4)) as ((left, right),):
-        values = found.predicted["front"]
+        values = forecast.predicted["front"]
         left.step(values, (np.arange(len(values)) + 1.0) / (len(values) + 1.0), where="post", color=BLUE)
         for end in quantiles(values, LEVELS["interval"])[::2]:
             left.axvline(end, color=GREY, linestyle="--")
         left.set(xlabel="front [m]", ylabel="probability of less", ylim=(0.0, 1.0))
-        if found.maps is None:
-            right.fill_between(found.stations, low, high, color=LIGHT_BLUE, label="95 % of the flows")
-            right.plot(found.stations, middle, color=ORANGE, label="median")
-            last = found.stations[np.flatnonzero(high > 0.0)[-1:]]
+        if forecast.maps is None:
+            right.fill_between(forecast.stations, low, high, color=LIGHT_BLUE, label="95 % of the flows")
+            right.plot(forecast.stations, middle, color=ORANGE, label="median")
+            last = forecast.stations[np.flatnonzero(high > 0.0)[-1:]]
             right.set(xlabel="x [m]", ylabel="height [m]", xlim=(None, last.item() if len(last) else None))
             right.legend()
         else:
-            x, z = (axis + first for axis, first in zip(found.maps.grid.axes, found.maps.corner, strict=True))
+            x, z = (axis + first for axis, first in zip(forecast.maps.grid.axes, forecast.maps.corner, strict=True))
             image = right.pcolormesh(
-                x, z, found.covered["depth"].T, cmap="YlOrRd", vmin=0.0, vmax=1.0, shading="nearest"
+                x, z, forecast.covered["depth"].T, cmap="YlOrRd", vmin=0.0, vmax=1.0, shading="nearest"
             )
             right.figure.colorbar(image, label="probability that the flow covers it")
             right.set(xlabel="x, easting [m]", ylabel="z, northing [m]", aspect="equal")

@@ -67,7 +67,7 @@ def main(
             return
         rows = solve_series(asked, targets, out, model=model, simulate=simulate)
     print(summary(rows, len(rows)))
-    if others := [each["deposit"] for each in rows if not Verdict(each["verdict"]).confirms]:
+    if others := [row["deposit"] for row in rows if not Verdict(row["verdict"]).confirms]:
         raise WorkFailed(f"not confirmed: {', '.join(others)}; see {out}/report.md")
 
 

@@ -56,15 +56,15 @@ def solve_series(
     asked, out = read_problem(problem) if isinstance(problem, str) else problem, Path(out)
     deposits = read_deposits(asked, Path(targets))
     make_folder(out)
-    known, rows = list[Known](), list[dict[str, Any]]()
-    for number, (name, each) in enumerate(deposits.items(), 1):
+    runs, rows = list[Known](), list[dict[str, Any]]()
+    for number, (name, deposit) in enumerate(deposits.items(), 1):
         folder = out / name
         if not (folder / RESULT).exists():
             print(f"{name}, {number} of {len(deposits)}", file=sys.stderr)
-            solve(each, folder, model=model, simulate=simulate, known=known)
-        found = json.loads((folder / RESULT).read_text())
-        rows.append(row(name, found))
-        known += runs_of(folder, found)
+            solve(deposit, folder, model=model, simulate=simulate, known=runs)
+        result = json.loads((folder / RESULT).read_text())
+        rows.append(row(name, result))
+        runs += runs_of(folder, result)
         write(out, asked, rows, len(deposits))
     return rows
 
@@ -77,23 +77,23 @@ def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
     for path, other in itertools.pairwise(files):
         if path.stem == other.stem:
             raise InputError(f"expected a name of its own, it is that of {path.name}", where=str(other))
-    found = {}
+    problems = {}
     for path in files:
         with naming(path):
-            found[path.stem] = each = of_deposit(problem, path)
+            problems[path.stem] = deposit = of_deposit(problem, path)
             # Nothing is simulated: a deposit is a file.
-            read_target(each, simulate)
-    return found
+            read_target(deposit, simulate)
+    return problems
 
 
 def of_deposit(problem: Problem, path: Path) -> Problem:
     """The problem with the deposit in a file as its target, and jitter seeds of its own."""
     target, observations = TargetSettings(trajectory=str(path.absolute())), problem.observations
-    unmeasured = [replace(each, **dict[str, Any](dict.fromkeys(each.sources))) for each in observations]
+    unmeasured = [replace(entry, **dict[str, Any](dict.fromkeys(entry.sources))) for entry in observations]
     if path.suffix == ".csv":
         (settings, *others) = unmeasured
         if others or not isinstance(settings, TabulatedSettings):
-            message = f"expected a trajectory: the problem observes {', '.join(each.kind for each in observations)}"
+            message = f"expected a trajectory: the problem observes {', '.join(entry.kind for entry in observations)}"
             raise InputError(message)
         target = TargetSettings()
         unmeasured = [replace(settings, csv=str(path.absolute()))]
@@ -103,30 +103,30 @@ def of_deposit(problem: Problem, path: Path) -> Problem:
     )
 
 
-def runs_of(folder: Path, found: Mapping[str, Any]) -> list[Known]:
+def runs_of(folder: Path, result: Mapping[str, Any]) -> list[Known]:
     """The runs of the MPM that a deposit took, on the cells of the problem."""
     return [
-        (np.array(list(each["unknowns"].values())), Trajectory.load(folder / each["file"]))
-        for each in found["mpm_runs"]
-        if each["purpose"] != "cells"
+        (np.array(list(run["unknowns"].values())), Trajectory.load(folder / run["file"]))
+        for run in result["mpm_runs"]
+        if run["purpose"] != "cells"
     ]
 
 
-def row(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
+def row(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     """The row of a deposit: its first answer with its intervals, the verdict and what it cost."""
     unknowns = dict[str, float]()
-    for key, value in found["unknowns"].items():
+    for key, value in result["unknowns"].items():
         unknowns[key] = value
-        unknowns |= {key + name: end for name, end in zip(ENDS, found["interval"][key], strict=True)}
-    cost = {"MPM runs": len(found["mpm_runs"]), "seconds": round(found["seconds"]["total"], 2)}
-    return {"deposit": name, **unknowns, "verdict": found["verdict"], "answers": len(found["answers"]), **cost}
+        unknowns |= {key + name: end for name, end in zip(ENDS, result["interval"][key], strict=True)}
+    cost = {"MPM runs": len(result["mpm_runs"]), "seconds": round(result["seconds"]["total"], 2)}
+    return {"deposit": name, **unknowns, "verdict": result["verdict"], "answers": len(result["answers"]), **cost}
 
 
 def write(out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count: int) -> None:
     """Write the table of the deposits so far, of `count`."""
-    write_csv(out / "series.csv", [*rows[0]], ([*each.values()] for each in rows))
+    write_csv(out / "series.csv", [*rows[0]], ([*line.values()] for line in rows))
     write_json(out / "series.json", {"problem": problem.name, "deposits": rows})
-    digits = {each.name + end: each.kind.digits for each in problem.numbers for end in ("", *ENDS)}
+    digits = {number.name + end: number.kind.digits for number in problem.numbers for end in ("", *ENDS)}
     forms = [f".{digits.get(key, 1)}f" for key in rows[0]]
     text = markdown_table(rows, style="github", floatfmt=forms, disable_numparse=[0])
     write_text(out / "report.md", f"# {problem.name}: a series\n\n{summary(rows, count)}\n\n{text}\n")
@@ -134,8 +134,8 @@ def write(out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count:
 
 def summary(rows: Sequence[Mapping[str, Any]], count: int) -> str:
     """What a series came to, in a sentence."""
-    confirmed = sum(Verdict(each["verdict"]).confirms for each in rows)
-    runs, seconds = (np.mean([each[key] for each in rows]) for key in ("MPM runs", "seconds"))
+    confirmed = sum(Verdict(line["verdict"]).confirms for line in rows)
+    runs, seconds = (np.mean([line[key] for line in rows]) for key in ("MPM runs", "seconds"))
     return (
         f"{len(rows)} of {count} deposits inverted, {confirmed} of them confirmed by the MPM; "
         f"{runs:.1f} MPM runs and {seconds:.0f} s a deposit."

@@ -94,7 +94,7 @@ def print_outcome(result: Result, out: Path) -> None:
 def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -> Result:
     """Search, check the answers, judge; known: runs for other targets."""
     began, used = time.perf_counter(), time.process_time()
-    before = tuple(task.run(*each) for each in known)
+    before = tuple(task.run(*pair) for pair in known)
     led, outcome, cells = None, None, tuple[MpmRun, ...]()
     forward, reason = surrogate.choose(task, model)
     if forward is not None:
@@ -110,12 +110,12 @@ def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -
         outcome = concluded(task, searched(begun(task.search(before))))
     elif not outcome.verdict.confirms:
         # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
-        tried = tuple(replace(each, purpose=Purpose.WAVE) for each in outcome.search.runs)
+        tried = tuple(replace(mpm_run, purpose=Purpose.WAVE) for mpm_run in outcome.search.runs)
         cells = outcome.cells
         outcome = nearer(outcome.search, concluded(task, searched(begun(task.search(before, tried)))))
     state, answer = outcome.search, outcome.answers[0]
-    files = {each.file for each in outcome.cells}
-    runs = (*state.runs, *outcome.cells, *(each for each in cells if each.file not in files))
+    files = {mpm_run.file for mpm_run in outcome.cells}
+    runs = (*state.runs, *outcome.cells, *(mpm_run for mpm_run in cells if mpm_run.file not in files))
     coarse = {"coarse_runs": len(led.runs)} if led is not None and isinstance(forward, MpmForward) else {}
     return Result(
         problem=task.problem,
@@ -134,7 +134,7 @@ def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -
         surrogate={"asked": led is not None, "reason": reason}
         | ({} if led is None else of_surrogate(task, led, state)),
         seconds={
-            "mpm": sum(each.seconds for each in runs),
+            "mpm": sum(mpm_run.seconds for mpm_run in runs),
             "total": time.perf_counter() - began,
             "processors": time.process_time() - used,
         },
@@ -148,13 +148,13 @@ def waves(state: Loop) -> list[dict[str, Any]]:
     problem, box = state.knowledge.problem, state.knowledge.box
     return [
         {
-            "mpm_runs": len(found.near) - len(state.known),
-            "mean": problem.named(box.at(found.samples.mean)),
-            "deviation": problem.named(box.range * np.sqrt(np.diag(found.samples.covariance))),
-            "emulator_share": found.emulator_share,
-            "with_surrogate": found.emulator.trend is not linear,
+            "mpm_runs": len(belief.near) - len(state.known),
+            "mean": problem.named(box.at(belief.samples.mean)),
+            "deviation": problem.named(box.range * np.sqrt(np.diag(belief.samples.covariance))),
+            "emulator_share": belief.emulator_share,
+            "with_surrogate": belief.emulator.trend is not linear,
         }
-        for found in (each.posterior for each in state.waves)
+        for belief in (wave.posterior for wave in state.waves)
     ]
 
 
@@ -164,13 +164,13 @@ def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
     That is by the runs there; where none were necessary, by the emulator of those around.
     """
     named, box, answers = task.problem.named, task.problem.box, []
-    for part, parameters in zip(led.answers, task.at(np.stack([each.point for each in led.answers])), strict=True):
-        checks = [each for each in state.runs if np.array_equal(each.parameters, parameters)]
-        seen = [each.numbers for each in checks] or state.knowledge.posterior.expected(part.point[None])
+    for part, parameters in zip(led.answers, task.at(np.stack([part.point for part in led.answers])), strict=True):
+        checks = [mpm_run for mpm_run in state.runs if np.array_equal(mpm_run.parameters, parameters)]
+        seen = [check.numbers for check in checks] or state.knowledge.posterior.expected(part.point[None])
         shown = np.mean(seen, axis=0)
         error = {"misfit": task.target.misfit(shown)}
         if checks and math.isfinite(task.target.front):
-            error["front_pct"] = 100.0 * float(np.mean([task.target.front_error(each.trajectory) for each in checks]))
+            error["front_pct"] = 100.0 * float(np.mean([task.target.front_error(check.trajectory) for check in checks]))
         interval = dict(zip(task.problem.names, box.at(part.interval).T.tolist(), strict=True))
         answer = {"unknowns": named(parameters), "interval": interval, "weight": part.weight, "mpm_error": error}
         answer["half_widths"] = named(box.range * part.half_widths)
@@ -180,15 +180,15 @@ def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
 
 def statement(state: Loop) -> str:
     """What the posterior is made of, in sentences."""
-    found, led = state.knowledge.posterior, state.knowledge.guide is not None
+    belief, led = state.knowledge.posterior, state.knowledge.guide is not None
     enough = CONSTANTS.converged_around if state.known or led else CONSTANTS.converged
-    more = " **More runs of the MPM (`mpm_runs`) would narrow these.**" if found.emulator_share > enough else ""
+    more = " **More runs of the MPM (`mpm_runs`) would narrow these.**" if belief.emulator_share > enough else ""
     before = f" ({len(state.known)} of them made before)" if state.known else ""
     return (
-        f"An emulator of {int(found.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
+        f"An emulator of {int(belief.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
         "seed, gives the posterior over the whole box. What the emulator does not know is "
-        f"{100.0 * found.emulator_share:.2g} % of the variance, and part of the intervals, at 95 %.{more} Two "
-        f"independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
+        f"{100.0 * belief.emulator_share:.2g} % of the variance, and part of the intervals, at 95 %.{more} Two "
+        f"independent populations of samples differ by {belief.samples.difference:.2g} standard deviations."
     )
 
 
@@ -198,16 +198,16 @@ def further(outcome: Conclusion) -> dict[str, float]:
         return {}
     state, knowledge = outcome.search, outcome.search.knowledge
     scene, near = knowledge.problem.scene, knowledge.posterior.near
-    flows = [run.trajectory for run, each in zip(state.every, near, strict=True) if each]
+    flows = [run.trajectory for run, is_near in zip(state.every, near, strict=True) if is_near]
     extent = max(measures.front(flow.positions[-1], flow.volumes) for flow in flows)
     shown = [measurements(scene, flow.positions[-1], extent) for flow in flows]
     # That of the target is known.
-    known = {"the front"} if math.isfinite(knowledge.target.front) else set()
-    found = information(
+    observed = {"the front"} if math.isfinite(knowledge.target.front) else set()
+    gains = information(
         state.points[near],
-        {name: np.array([each[name] for each in shown]) for name in shown[0] if name not in known},
+        {name: np.array([measured[name] for measured in shown]) for name in shown[0] if name not in observed},
         knowledge.posterior.samples,
         cell=scene.domain.cell,
         rng=state.generator(),
     )
-    return dict([*found.items()][:SUGGESTED])
+    return dict([*gains.items()][:SUGGESTED])

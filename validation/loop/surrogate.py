@@ -93,7 +93,7 @@ def estimate(problem: Problem, model: Path | None, out: Path) -> str:
 def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forward | None, str]:
     """The learned surrogate, or None and why it does not know the flow, or not well enough. Raises InputError."""
     observation = target.observation
-    if without := [each.name for each in problem.parameters if not each.kind.predicted]:
+    if without := [parameter.name for parameter in problem.parameters if not parameter.kind.predicted]:
         return None, f"{', '.join(without)} is no input of it"
     if not observation.of_positions:
         return None, f"it does not predict {observation.label}"
@@ -119,8 +119,8 @@ def loaded(weights: Path, stamp: int, scene: Scene, names: tuple[str, ...]) -> t
     return checkpoint.load(weights).simulator, {}
 
 
-def guided(search: Loop, found: Inversion) -> tuple[Loop, bool]:
-    """Runs at the answers that a surrogate `found`, around them, and on until its answers so corrected hold.
+def guided(search: Loop, led: Inversion) -> tuple[Loop, bool]:
+    """Runs at the answers of a surrogate (`led`), around them, and on until its answers so corrected hold.
 
     With it, whether the MPM confirms one of them: if not, more runs near the others would be of no use.
     Where the known runs are enough for an emulator, its answers are corrected by them at once.
@@ -128,16 +128,16 @@ def guided(search: Loop, found: Inversion) -> tuple[Loop, bool]:
     unknowns, state = len(search.knowledge.problem.parameters), search
     size = wave_size(unknowns)
     if len(search.known) < fewest_runs(unknowns):
-        answers = np.stack([each.point for each in found.answers])
+        answers = np.stack([answer.point for answer in led.answers])
         state = state.ran(np.repeat(answers, CONSTANTS.first_checks, axis=0), purpose=Purpose.CHECK)
-        found = found.compared(state.points, state.numbers)
-        state = state.ran(found.around(size, state.generator(0)))
-    state = state.informed(guide=found)
+        led = led.compared(state.points, state.numbers)
+        state = state.ran(led.around(size, state.generator(0)))
+    state = state.informed(guide=led)
     while True:
         while at_edge(state):
             # Twice as wide, until they do not.
-            found = found.refined(factor=2.0 * found.knowledge.factor)
-            state = state.informed(guide=found)
+            led = led.refined(factor=2.0 * led.knowledge.factor)
+            state = state.informed(guide=led)
         left, known_enough = state.left - CONSTANTS.checks, converged(state)
         # The answers of several parameters move until their emulator knows enough: checks of them come last.
         if unknowns == 1 or known_enough or left <= 0:

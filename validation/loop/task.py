@@ -46,14 +46,18 @@ class Task:
         box = self.problem.box
         digits = 6 - np.ceil(np.log10(box.range)).astype(int)
         rounded = [
-            [round(float(each), int(count)) for each, count in zip(row, digits, strict=True)] for row in box.at(points)
+            [round(float(value), int(count)) for value, count in zip(row, digits, strict=True)]
+            for row in box.at(points)
         ]
         return [*np.clip(np.reshape(rounded, points.shape), box.lower, box.upper)]
 
     def __call__(self, points: Matrix, first: int, *, purpose: Purpose = Purpose.WAVE) -> tuple[MpmRun, ...]:
         """Runs at points [S, U] of the unit box, each with a jitter seed of its own; first: number of the first."""
         locations, seed = self.at(points), self.problem.scene.seed
-        scenes = [self.problem.scene_at(each, jitter_seed(seed, first + index)) for index, each in enumerate(locations)]
+        scenes = [
+            self.problem.scene_at(location, jitter_seed(seed, first + index))
+            for index, location in enumerate(locations)
+        ]
         return self.compared(locations, scenes, purpose)
 
     def compared(self, locations: Sequence[Vector], scenes: Sequence[Scene], purpose: Purpose) -> tuple[MpmRun, ...]:
@@ -61,8 +65,8 @@ class Task:
         store = RunStore(self.folder, self.simulate, label=f"{purpose}-")
         record = recording([self.target.observation])
         flows = store(scenes, record=record)
-        files = [f"{self.folder.name}/{store.path(Run(scene=each, record=record)).name}" for each in scenes]
-        return tuple(self.run(*each, purpose) for each in zip(locations, flows, files, strict=True))
+        files = [f"{self.folder.name}/{store.path(Run(scene=scene, record=record)).name}" for scene in scenes]
+        return tuple(self.run(*triple, purpose) for triple in zip(locations, flows, files, strict=True))
 
     def run(self, location: Vector, flow: Trajectory, file: str = "", purpose: Purpose = Purpose.KNOWN) -> MpmRun:
         """A flow with the parameters `location` [U], compared with the target; file: where it is stored."""

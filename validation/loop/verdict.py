@@ -50,24 +50,24 @@ def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Concl
     moves: see `checked`.
     """
     excluded = is_excluded(state.knowledge.posterior)
-    state, found = checked(state, moves=moves)
-    if cells := on_other_cells(task, found[0]):
+    state, answers = checked(state, moves=moves)
+    if cells := on_other_cells(task, answers[0]):
         # The error grows as the cell (Roache 1994): nature has none, a twin on other cells that of its own.
-        own, other = (each[0].trajectory.scene.domain.cell for each in (found[0].checks, cells))
-        share = (own - (task.target.cell or 0.0)) / (own - other)
-        change = share * (found[0].observation - np.mean([each.numbers for each in cells], axis=0))
+        cell, other = (runs[0].trajectory.scene.domain.cell for runs in (answers[0].checks, cells))
+        share = (cell - (task.target.cell or 0.0)) / (cell - other)
+        change = share * (answers[0].observation - np.mean([run.numbers for run in cells], axis=0))
         beyond = 1.0 if share <= 0.0 else max(0.0, 1.0 - 1.0 / share)
-        state, found = checked(reopened(state, discretisation=change, extrapolated=beyond), moves=moves)
+        state, answers = checked(reopened(state, discretisation=change, extrapolated=beyond), moves=moves)
     for _ in range(CONSTANTS.rounds):
-        factor, before = discrepancy(state, found[0]), state.knowledge.factor
+        factor, before = discrepancy(state, answers[0]), state.knowledge.factor
         if abs(factor - before) <= SETTLED * before:
             break
         # The residuals are least in another place where all parameters are open again that they had excluded.
-        state, found = checked(reopened(state, factor=factor), again=False, moves=min(1, moves))
+        state, answers = checked(reopened(state, factor=factor), again=False, moves=min(1, moves))
     # What the MPM refuses is no other answer beside one that it confirms.
-    found = tuple(each for each in found if each.confirmed) or found
-    verdict = judge(task.problem, found, excluded=excluded)
-    return Conclusion(search=state, answers=found, verdict=verdict, cells=cells)
+    answers = tuple(answer for answer in answers if answer.confirmed) or answers
+    verdict = judge(task.problem, answers, excluded=excluded)
+    return Conclusion(search=state, answers=answers, verdict=verdict, cells=cells)
 
 
 def discrepancy(state: Loop, answer: Answer) -> float:
@@ -76,8 +76,8 @@ def discrepancy(state: Loop, answer: Answer) -> float:
     Residuals are least there; a skewed posterior has its median elsewhere.
     """
     # Answers are in another order than parts: those first that the MPM confirms.
-    own = state.knowledge.box.shares(answer.parameters)
-    part = min(parts_of(state), key=lambda each: float(np.linalg.norm(each.point - own)))
+    location = state.knowledge.box.shares(answer.parameters)
+    part = min(parts_of(state), key=lambda candidate: float(np.linalg.norm(candidate.point - location)))
     best = part.points[[int(np.argmax(state.knowledge.posterior.likelihood(part.points)))]]
     return fitted(state, answer.checks, best[0]).factor
 
@@ -105,8 +105,8 @@ def reopened(state: Loop, **changes: Any) -> Loop:
 
 def judged(state: Loop) -> Conclusion:
     """The answers by the runs that there are."""
-    found = answers_of(state, parts_of(state))
-    return Conclusion(search=state, answers=found, verdict=judge(state.knowledge.problem, found))
+    answers = answers_of(state, parts_of(state))
+    return Conclusion(search=state, answers=answers, verdict=judge(state.knowledge.problem, answers))
 
 
 def nearer(led: Loop, whole: Conclusion) -> Conclusion:
@@ -114,9 +114,12 @@ def nearer(led: Loop, whole: Conclusion) -> Conclusion:
 
     By all runs of both. What is excluded over the whole box remains excluded.
     """
-    found = judged(replace(led, runs=(*led.runs, *whole.search.runs[len(led.runs) :])).informed())
-    ratios = [math.inf if each.answers[0].fit is None else each.answers[0].fit.ratio for each in (found, whole)]
-    return found if whole.verdict is Verdict.UNCONFIRMED and ratios[0] < ratios[1] else whole
+    guided = judged(replace(led, runs=(*led.runs, *whole.search.runs[len(led.runs) :])).informed())
+    ratios = [
+        math.inf if conclusion.answers[0].fit is None else conclusion.answers[0].fit.ratio
+        for conclusion in (guided, whole)
+    ]
+    return guided if whole.verdict is Verdict.UNCONFIRMED and ratios[0] < ratios[1] else whole
 
 
 def checked(state: Loop, *, again: bool = True, moves: int = CONSTANTS.moves) -> tuple[Loop, tuple[Answer, ...]]:
@@ -126,10 +129,10 @@ def checked(state: Loop, *, again: bool = True, moves: int = CONSTANTS.moves) ->
     the MPM does not confirm the first of them.
     """
     for turn in range(CONSTANTS.rounds):
-        found, close = parts_of(state), CLOSE if turn < moves else math.inf
-        locations = [each.point for each in found if not is_checked(state, each, close)]
+        parts, close = parts_of(state), CLOSE if turn < moves else math.inf
+        locations = [part.point for part in parts if not is_checked(state, part, close)]
         if not locations:
-            answers = answers_of(state, found)
+            answers = answers_of(state, parts)
             if answers[0].confirmed or not again or is_certain(answers[0]):
                 break
             # Where the mean of few runs is not near enough, that of more may be.
@@ -153,36 +156,36 @@ def is_certain(answer: Answer) -> bool:
 
 def distances(runs: Sequence[MpmRun], part: Part) -> Values:
     """Distance of runs from the point of a part: root mean square over the parameters, in half-widths, shape [n]."""
-    off = (np.stack([each.point for each in runs]) - part.point) / np.maximum(part.half_widths, 1e-6)
+    off = (np.stack([run.point for run in runs]) - part.point) / np.maximum(part.half_widths, 1e-6)
     return np.asarray(np.sqrt((off**2).mean(axis=1)))
 
 
 def checks_of(state: Loop, part: Part) -> list[MpmRun]:
     """The checks of a part: those at the place, among all in it that were checked, that is nearest to its point."""
-    made = [each for each in state.runs if each.purpose is Purpose.CHECK]
+    made = [run for run in state.runs if run.purpose is Purpose.CHECK]
     if not made:
         return []
-    points = np.stack([each.point for each in made])
+    points = np.stack([run.point for run in made])
     within = np.all((points >= part.points.min(axis=0)) & (points <= part.points.max(axis=0)), axis=1)
     within &= state.knowledge.posterior.likelihood(points) >= part.threshold
     if not within.any():
         return []
     nearest = points[int(np.argmin(np.where(within, distances(made, part), np.inf)))]
-    return [each for each in made if np.array_equal(each.point, nearest)]
+    return [run for run in made if np.array_equal(run.point, nearest)]
 
 
 def is_checked(state: Loop, part: Part, close: float) -> bool:
     """Whether its checks are so close to its point, in half-widths, or it is most of the box."""
-    found = checks_of(state, part)
-    if not found:
+    checks = checks_of(state, part)
+    if not checks:
         return False
-    return bool(distances(found[:1], part)[0] <= close or part.half_widths.max() > IDENTIFIABLE)
+    return bool(distances(checks[:1], part)[0] <= close or part.half_widths.max() > IDENTIFIABLE)
 
 
-def answers_of(state: Loop, found: Sequence[Part]) -> tuple[Answer, ...]:
+def answers_of(state: Loop, parts: Sequence[Part]) -> tuple[Answer, ...]:
     """The answer in each part, with the checks or else the runs nearest to it; those first that the MPM confirms."""
     box, answers = state.knowledge.box, []
-    for part in found:
+    for part in parts:
         checks = checks_of(state, part) or [state.every[int(np.argmin(distances(state.every, part)))]]
         answers.append(
             Answer(
@@ -193,7 +196,7 @@ def answers_of(state: Loop, found: Sequence[Part]) -> tuple[Answer, ...]:
                 fit=replace(fitted(state, checks, part.point), applied=state.knowledge.factor),
             )
         )
-    return tuple(sorted(answers, key=lambda each: not each.confirmed))
+    return tuple(sorted(answers, key=lambda answer: not answer.confirmed))
 
 
 def fitted(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Fit:
@@ -203,23 +206,23 @@ def fitted(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Fit:
 
     The checks may lie a part of a half-width beside it: the difference is the emulator's.
     """
-    known, near, numbers = state.knowledge, state.knowledge.posterior.near, state.numbers
-    scatter = Scatter.of_runs(state.points[near], numbers[near], known.scatter)
+    knowledge, near, numbers = state.knowledge, state.knowledge.posterior.near, state.numbers
+    scatter = Scatter.of_runs(state.points[near], numbers[near], knowledge.scatter)
     if scatter.freedom == 0:
-        scatter = Scatter.of_runs(state.points, numbers, known.scatter)
-    place, step = known.box.shares(checks[0].parameters), 1e-3 * np.eye(len(point))
-    there, here = known.posterior.expected(np.stack([point, place]))
-    shown = np.stack([each.numbers for each in checks]) + (there - here)
+        scatter = Scatter.of_runs(state.points, numbers, knowledge.scatter)
+    place, step = knowledge.box.shares(checks[0].parameters), 1e-3 * np.eye(len(point))
+    there, here = knowledge.posterior.expected(np.stack([point, place]))
+    shown = np.stack([check.numbers for check in checks]) + (there - here)
     slopes: Matrix | None = None
     if shown.shape[1] <= MAX_NUMBERS:
         # Derivatives by parameters in fractions of their ranges, by the emulator, shape [U, M].
-        slopes = (known.posterior.expected(place + step) - known.posterior.expected(place - step)) / 2e-3
+        slopes = (knowledge.posterior.expected(place + step) - knowledge.posterior.expected(place - step)) / 2e-3
     return fit(
-        known.target,
+        knowledge.target,
         shown,
         scatter,
-        cells=known.discretisation,
-        extrapolated=known.extrapolated,
+        cells=knowledge.discretisation,
+        extrapolated=knowledge.extrapolated,
         parameters=len(point),
         slopes=slopes,
     )
@@ -240,16 +243,16 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
         return ()
     try:
         scene = task.on_cells(scene, OTHER_CELLS[scene.dimension])
-        scenes = [replace(scene, seed=each.trajectory.scene.seed) for each in answer.checks]
+        scenes = [replace(scene, seed=check.trajectory.scene.seed) for check in answer.checks]
     except InputError:
         return ()
     return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
 
 
-def is_excluded(found: Posterior) -> bool:
+def is_excluded(posterior: Posterior) -> bool:
     """Whether the likeliest parameters of all, whatever a stated prior, leave more than scatter and noise explain."""
-    samples = found.samples if found.likelihood.prior is None else found.plausible
+    samples = posterior.samples if posterior.likelihood.prior is None else posterior.plausible
     best = samples.points[[int(np.argmax(samples.log_likelihood))]]
-    (residual,), fixed, (variance,) = found.likelihood.residual(best)
+    (residual,), fixed, (variance,) = posterior.likelihood.residual(best)
     square = float(residual @ np.linalg.solve(fixed + np.diag(variance), residual))
     return float(chi2.sf(square, len(residual))) < EXCLUDED

@@ -42,8 +42,12 @@ def test_seed_and_index_decide_and_a_smaller_dataset_is_a_prefix(definition: Def
     assert all(a.scene != b.scene for a, b in zip(whole, others, strict=False))
     assert len({entry.name for entry in whole}) == SMALL
     # A variant shares its shape and its jitter.
-    own = {definition.stream(index): entry for index, entry in enumerate(whole)}.values()
-    assert len({entry.scene.seed for entry in own}) == len({entry.scene.masses for entry in own}) == len(own)
+    distinct = {definition.stream(index): entry for index, entry in enumerate(whole)}.values()
+    assert (
+        len({entry.scene.seed for entry in distinct})
+        == len({entry.scene.masses for entry in distinct})
+        == len(distinct)
+    )
     for count, seed, key in ((0, 0, str(definition.size)), (1201, 0, str(definition.size)), (1, -1, "seed")):
         refused(definition.entries, seed=seed, count=count, said=key)
 
@@ -65,7 +69,7 @@ def test_the_shipped_definitions_draw_the_scenes_they_always_drew(definition: De
     entries = first_entries(definition)
     lines = "\n".join(f"{entry.split} {entry.name} {json.dumps(changed(entry.scene))}" for entry in entries)
     # Processors differ in the last bits of a logarithm.
-    lines = re.sub(r"-?\d+\.\d+(e-?\d+)?", lambda found: f"{float(found[0]):.9g}", lines)
+    lines = re.sub(r"-?\d+\.\d+(e-?\d+)?", lambda number: f"{float(number[0]):.9g}", lines)
     assert hashlib.sha256(lines.encode()).hexdigest()[:16] == DRAWN[definition.name]
 
 
@@ -129,9 +133,9 @@ def test_the_paper_s_baffle_scenes(name: str, count: int) -> None:
 def mirrored(scene: Scene) -> Scene:
     """The scene in the mirror along x."""
 
-    def box(each: Mass | Baffle) -> Any:
-        left = scene.domain.size[0] - each.lower[0] - each.size[0]
-        return dataclasses.replace(each, lower=(left, *each.lower[1:]))
+    def box(block: Mass | Baffle) -> Any:
+        left = scene.domain.size[0] - block.lower[0] - block.size[0]
+        return dataclasses.replace(block, lower=(left, *block.lower[1:]))
 
     masses, baffles = (tuple(map(box, some)) for some in (scene.masses, scene.baffles))
     return dataclasses.replace(scene, masses=masses, baffles=baffles)

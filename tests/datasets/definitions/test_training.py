@@ -45,8 +45,8 @@ def test_strength_that_grows_with_depth_is_that_of_the_particles() -> None:
     # Files keep positions in single precision.
     stored, part = particles.positions.astype(np.float32), slice(None, None, 3)
     for chosen, mass in ((slice(None), None), (part, particles.mass[part])):
-        found = observed_cohesion(scene, stored[chosen], mass)
-        np.testing.assert_allclose(found, particles.cohesion[chosen], rtol=1e-5)
+        cohesion = observed_cohesion(scene, stored[chosen], mass)
+        np.testing.assert_allclose(cohesion, particles.cohesion[chosen], rtol=1e-5)
 
 
 def test_moments_of_parts_are_those_of_the_whole() -> None:

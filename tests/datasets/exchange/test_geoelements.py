@@ -58,7 +58,7 @@ def test_there_and_back(tmp_path: Path, dimension: int, up: str) -> None:
     assert exchange(theirs, *FROM, "--scene", scene, "--up", up, "--out", back) == 0
     for split in ("train", "valid", "test"):
         before, after = (sorted((folder / split).glob("*.npz")) for folder in (ours, back))
-        assert [each.name for each in before] == [each.name for each in after] != []
+        assert [path.name for path in before] == [path.name for path in after] != []
         for a, b in zip(map(Trajectory.load, before), map(Trajectory.load, after), strict=True):
             np.testing.assert_array_equal(a.positions, b.positions)
             np.testing.assert_array_equal(a.friction, b.friction)
@@ -102,8 +102,8 @@ def foreign(folder: Path, *, material: float | None = 0.7) -> Path:
     positions = np.concatenate([sand, np.full((FRAMES, 3, 2), 0.2)], axis=1)
     types = np.repeat([6, 3], [sand.shape[1], 3])
     data = np.empty(2, dtype=object)
-    for index, each in enumerate([(positions, types, material), (positions[:, types == 6], 6, material)]):
-        data[index] = each if material is not None else each[:2]
+    for index, trajectory in enumerate([(positions, types, material), (positions[:, types == 6], 6, material)]):
+        data[index] = trajectory if material is not None else trajectory[:2]
     folder.mkdir(parents=True)
     np.savez_compressed(folder / "train.npz", gns_data=data)
     bounds = [[0.1, 0.1 + length] for length in toy_scene(2, 0).domain.size]
@@ -258,5 +258,5 @@ def test_pickles_of_the_older_numpy(tmp_path: Path) -> None:
 )
 def test_what_is_no_trajectory_or_hostile(tmp_path: Path, content: bytes, count: int, expected: str) -> None:
     path = stored(tmp_path / "bad.npz", content, count)
-    found = refused(lambda: list(geoelements.read(path)), said=expected)
-    assert (found.where, found.key) == (str(path), "data")
+    error = refused(lambda: list(geoelements.read(path)), said=expected)
+    assert (error.where, error.key) == (str(path), "data")

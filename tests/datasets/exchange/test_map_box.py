@@ -44,15 +44,15 @@ def made(folder: Path, shape: shapely.Geometry = FIELD, text: str = SCENE + OUTL
 
 def test_a_box_around_a_polygon_is_as_high_as_its_ground(tmp_path: Path) -> None:
     """Plan 70 to 170 and 50 to 150 m; the ground falls from 1,466 to 1,413 m there, the layer is 8 m thick."""
-    found = made(tmp_path)
-    domain = found.domain
+    scene = made(tmp_path)
+    domain = scene.domain
     assert domain.crs == SWISS
     assert domain.origin is not None
     assert domain.origin[::2] == (EAST + 70.0, NORTH + 50.0)
     # Of 25 cells 24: on twice as large ones the box is the same.
     assert domain.size[::2] == (96.0, 96.0)
-    assert found.with_cell(8.0).domain.size == domain.size
-    ground = np.array(found.solids[0].heights) + domain.origin[1]
+    assert scene.with_cell(8.0).domain.size == domain.size
+    ground = np.array(scene.solids[0].heights) + domain.origin[1]
     bottom, top = domain.origin[1], domain.origin[1] + domain.size[1]
     lowest, highest = UP + 200.0 - 0.5 * 172.5, UP + 200.0 - 0.5 * 67.5
     assert ground.min() < lowest  # the raster goes on beside the box

@@ -96,7 +96,7 @@ def test_other_formats(tmp_path: Path, name: str, kind: str) -> None:
 def stl(path: Path, *corners: np.ndarray, apart: float = 0.0, binary: bool = False) -> None:
     """Cubes whose triangles have vertices of their own, up to `apart` from each other."""
     halves = (np.array(QUADS) - 1)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
-    places = np.concatenate([own[halves].reshape(-1, 3) for own in corners])
+    places = np.concatenate([cube[halves].reshape(-1, 3) for cube in corners])
     places = places + apart * np.random.default_rng(0).uniform(-0.5, 0.5, places.shape)
     triangles = np.arange(len(places)).reshape(-1, 3)
     meshio.Mesh(places, [("triangle", triangles)]).write(path, file_format="stl", binary=binary)

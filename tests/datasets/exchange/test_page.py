@@ -55,13 +55,13 @@ def test_a_page_has_the_flow(tmp_path: Path, dimension: int) -> None:
     (run,) = head["runs"]
     assert head["times"] == flow.time.tolist()
     extent = np.ptp(flow.positions, axis=(0, 1)).max()
-    found = numbers(data, run["positions"]).swapaxes(1, 2)
-    np.testing.assert_allclose(found, flow.positions, atol=extent / 65535)
+    places = numbers(data, run["positions"]).swapaxes(1, 2)
+    np.testing.assert_allclose(places, flow.positions, atol=extent / 65535)
     shown = numbers(data, run["fields"]["pressure"])[:, 0]
     bar = head["fields"]["pressure"]["high"]
     np.testing.assert_allclose(shown, np.minimum(flow.positions[:, :, 0], bar), atol=bar / 255)
     assert set(head["fields"]) == {"velocity", "displacement", "pressure"}
-    assert [each["kind"] for each in head["solids"]] == ["baffle", "baffle"]
+    assert [solid["kind"] for solid in head["solids"]] == ["baffle", "baffle"]
     heights = numbers(data, run["heights"])[:, 0]
     assert heights.max() == pytest.approx(0.08, rel=0.1)
     # The block, in 3D across the box, and of a column at either end a part.
@@ -74,8 +74,8 @@ def test_it_is_the_same_file_again_and_fetches_nothing(tmp_path: Path) -> None:
     text = (tmp_path / "one").read_text()
     assert text == (tmp_path / "other").read_text()
     assert len(text) < 4e6
-    own = re.sub(r'<script id="(data|plotly)".*?</script>', "", text, flags=re.DOTALL)
-    assert not re.search(r"https?:|src=|<link|@import", own)
+    markup = re.sub(r'<script id="(data|plotly)".*?</script>', "", text, flags=re.DOTALL)
+    assert not re.search(r"https?:|src=|<link|@import", markup)
 
 
 def test_many_particles_and_frames_are_thinned_and_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,7 +116,7 @@ def test_solids_are_those_of_both_and_the_ground_lies_over_the_box(tmp_path: Pat
     ground = Solid(kind="terrain", points=((0.0, 0.0), (0.2, 0.0), (0.5, 0.03)))
     other = dataclasses.replace(flow.scene, baffles=(moved, flow.scene.baffles[1]))
     write_view(page, flow, dataclasses.replace(flow, scene=other))
-    assert [each["kind"] for each in parts(page)[0]["solids"]] == ["baffle", "baffle", "second"]
+    assert [solid["kind"] for solid in parts(page)[0]["solids"]] == ["baffle", "baffle", "second"]
     write_view(page, dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, baffles=(), solids=(ground,))))
     head, _ = parts(page)
     assert head["solids"] == []

@@ -64,18 +64,18 @@ def write_raster(path: Path, values: np.ndarray, crs: str | None = "EPSG:32632",
         file.write(values, 1)
 
 
-def ground(found: Scene, positions: list[tuple[float, float, float]]) -> np.ndarray:
+def ground(loaded: Scene, positions: list[tuple[float, float, float]]) -> np.ndarray:
     """Signed distances from the surface of a scene."""
-    return nearest(surface(found), np.array(positions)).distance
+    return nearest(surface(loaded), np.array(positions)).distance
 
 
 def test_a_ground_line(tmp_path: Path) -> None:
     (tmp_path / "line.csv").write_text("# surveyed\nx,y,friction\n0,0.5,0.2\n1,0.1,0.4\n2,0.1,0.4\n")
-    found = scene(tmp_path, PLANE + BODY + TERRAIN + 'file = "line.csv"\nat = [0.0, 0.5]\n')
-    (solid,) = found.solids
+    loaded = scene(tmp_path, PLANE + BODY + TERRAIN + 'file = "line.csv"\nat = [0.0, 0.5]\n')
+    (solid,) = loaded.solids
     assert solid.points == ((0.0, 1.0), (1.0, 0.6), (2.0, 0.6))
     assert solid.friction == (0.2, 0.4, 0.4)
-    assert Scene.from_json(found.to_json()) == found
+    assert Scene.from_json(loaded.to_json()) == loaded
 
 
 @pytest.mark.parametrize(
@@ -91,12 +91,12 @@ def test_a_height_field(tmp_path: Path, name: str, encoding: str) -> None:
         write_raster(tmp_path / name, tilted())
     if encoding:
         (tmp_path / name).write_bytes((tmp_path / name).read_text().encode(encoding))
-    found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n')
+    loaded = scene(tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n')
     slope = np.sqrt(1.0 + 0.1**2 + 0.2**2)
-    distance = ground(found, [(0.5, 0.3, 0.5), (1.5, 0.2, 0.2), (0.3, 0.4, 0.9)])
+    distance = ground(loaded, [(0.5, 0.3, 0.5), (1.5, 0.2, 0.2), (0.3, 0.4, 0.9)])
     np.testing.assert_allclose(distance, np.array([0.05, -0.09, 0.09]) / slope, atol=1e-6)
-    assert found.solids[0].corner == (500_000.0, 5_000_000.0)
-    assert Scene.from_json(found.to_json()) == found
+    assert loaded.solids[0].corner == (500_000.0, 5_000_000.0)
+    assert Scene.from_json(loaded.to_json()) == loaded
 
 
 @pytest.mark.parametrize("source", ["/vsicurl/http://127.0.0.1/a.tif", "http://127.0.0.1/a.tif"])
@@ -130,18 +130,18 @@ def test_a_release_has_the_volume_of_its_cells(
     top = 5000000.0 + south * edge[1] * len(values)
     write_raster(tmp_path / name, values, transform=Affine(edge[0], 0.0, 500000.0, 0.0, -south * edge[1], top))
     layer = f'[[masses]]\nkind = "layer"\nthickness = "{name}"\nat = [0.4, 0.2]\n'
-    found = scene(tmp_path, SPACE.replace("cell = 0.05", f"cell = {cell}") + layer)
+    loaded = scene(tmp_path, SPACE.replace("cell = 0.05", f"cell = {cell}") + layer)
     expected = pytest.approx(np.maximum(values, 0.0).sum() * edge[0] * edge[1], rel=1e-6 if ascii_grid else 1e-9)
-    assert mass_volumes(found)[0] == expected
-    assert initial_particles(found).volume.sum() == expected
+    assert mass_volumes(loaded)[0] == expected
+    assert initial_particles(loaded).volume.sum() == expected
 
 
 def test_a_layer_that_the_box_cuts_is_said(tmp_path: Path) -> None:
     write_raster(tmp_path / "release.tif", np.full((2, 4), 0.2))
-    found = scene(tmp_path, SPACE + LAYER + "at = [1.9, 0.2]\n")
-    assert mass_volumes(found)[0] == pytest.approx(0.1 * 0.2 * 0.2, rel=1e-9)
+    loaded = scene(tmp_path, SPACE + LAYER + "at = [1.9, 0.2]\n")
+    assert mass_volumes(loaded)[0] == pytest.approx(0.1 * 0.2 * 0.2, rel=1e-9)
     with pytest.warns(UserWarning, match=r"masses\[0\]: 0.75 of the layer lies beyond the sides"):
-        warn_if_unlikely(found)
+        warn_if_unlikely(loaded)
 
 
 @pytest.mark.parametrize(
@@ -185,8 +185,8 @@ def test_only_holes_that_the_box_needs_are_holes(tmp_path: Path) -> None:
     values[[0, 1, -2, -1]] = values[:, [0, 1, 2, -1]] = NONE
     values[5, 24] = NONE
     write_raster(tmp_path / "dem.tif", values)
-    found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\nat = [-0.3, -0.2]\n')
-    np.testing.assert_allclose(ground(found, [(0.01, 0.3, 0.5), (1.0, 0.3, 0.01), (1.99, 0.3, 0.99)]), 0.1, atol=1e-6)
+    loaded = scene(tmp_path, SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\nat = [-0.3, -0.2]\n')
+    np.testing.assert_allclose(ground(loaded, [(0.01, 0.3, 0.5), (1.0, 0.3, 0.01), (1.99, 0.3, 0.99)]), 0.1, atol=1e-6)
 
 
 def test_friction_and_turbulence_of_the_ground_by_raster(tmp_path: Path) -> None:
@@ -221,10 +221,10 @@ def test_a_raster_of_thickness_lies_beside_the_terrains(tmp_path: Path, crs: str
     place = Affine(0.1, 0.0, 500001.0, 0.0, -0.1, 5000000.0 + 0.5 + 0.3)
     write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:32632")
     write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), crs, transform=place)
-    found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + LAYER)
+    loaded = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + LAYER)
     # The raster's cells whole.
-    assert mass_volumes(found)[0] == pytest.approx(0.4 * 0.3 * 0.1, rel=1e-9)
-    particles = initial_particles(found).positions
+    assert mass_volumes(loaded)[0] == pytest.approx(0.4 * 0.3 * 0.1, rel=1e-9)
+    particles = initial_particles(loaded).positions
     np.testing.assert_allclose(particles.min(axis=0), (1.0, 0.2, 0.5), atol=0.025)
     np.testing.assert_allclose(particles.max(axis=0), (1.4, 0.3, 0.8), atol=0.025)
 
@@ -233,8 +233,8 @@ def test_a_mesh(tmp_path: Path) -> None:
     vertices, triangles = sphere((0.0, 0.0, 0.0), 200.0, 32)
     meshio.Mesh(vertices, [("triangle", triangles)]).write(tmp_path / "ball.stl")
     text = 'kind = "mesh"\nfile = "ball.stl"\nscale = 0.001\nat = [1.0, 0.4, 0.5]\n'
-    found = scene(tmp_path, SPACE + BODY_3D + "[[solids]]\n" + text)
-    distance = ground(found, [(1.0, 0.7, 0.5), (1.0, 0.4, 0.4)])
+    loaded = scene(tmp_path, SPACE + BODY_3D + "[[solids]]\n" + text)
+    distance = ground(loaded, [(1.0, 0.7, 0.5), (1.0, 0.4, 0.4)])
     np.testing.assert_allclose(distance, [0.1, -0.1], atol=0.004)
     body = scene(tmp_path, SPACE + "[[masses]]\n" + text)
     assert mass_volumes(body)[0] == pytest.approx(4.0 / 3.0 * np.pi * 0.2**3, rel=0.03)
@@ -259,9 +259,9 @@ def test_a_map_with_scale_offset_holes_and_rows_from_the_south(tmp_path: Path) -
         with rasterio.open(tmp_path / name, "r+") as file:
             file.scales, file.offsets = (0.001,), (-9.8 if name == "dem.tif" else 0.0,)
     with pytest.warns(UserWarning, match="release.tif: 1 values such as -32768 are taken as no data"):
-        found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + LAYER + "at = [0.4, 0.2]\n")
-    np.testing.assert_allclose(ground(found, [(1.0, 0.4, 0.5), (1.0, 0.4, 0.9)]), [0.19612, 0.11767], atol=1e-4)
-    assert mass_volumes(found)[0] == pytest.approx(5 * 0.1**2 * 0.2, rel=1e-9)
+        loaded = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + LAYER + "at = [0.4, 0.2]\n")
+    np.testing.assert_allclose(ground(loaded, [(1.0, 0.4, 0.5), (1.0, 0.4, 0.9)]), [0.19612, 0.11767], atol=1e-4)
+    assert mass_volumes(loaded)[0] == pytest.approx(5 * 0.1**2 * 0.2, rel=1e-9)
 
 
 def holes(path: Path) -> None:
@@ -324,9 +324,9 @@ CASES: list[tuple[str, Callable[[Path], object], str]] = [
 @pytest.mark.parametrize(("name", "write", "words"), CASES)
 def test_files_that_are_refused(tmp_path: Path, name: str, write: Callable[[Path], object], words: str) -> None:
     write(tmp_path / name)
-    found = refused(scene, tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n', said=words)
-    assert found.where.endswith((name, "scene.toml"))
-    assert "solids[0]" in found.key
+    error = refused(scene, tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n', said=words)
+    assert error.where.endswith((name, "scene.toml"))
+    assert "solids[0]" in error.key
 
 
 @pytest.mark.parametrize(
@@ -345,8 +345,8 @@ def test_solids_that_are_refused(tmp_path: Path, text: str, words: str) -> None:
 
 @pytest.mark.parametrize("name", ["solids.stl", "solids.ply", "solids.vtu"])
 def test_the_surface_of_solids_is_written_as_a_mesh(tmp_path: Path, name: str) -> None:
-    found = scene(tmp_path, SPACE + BODY_3D + "[[solids]]\nlower = [0.5, 0.2, 0.2]\nsize = [0.4, 0.3, 0.2]\n")
-    write_surface(found, tmp_path / name)
+    loaded = scene(tmp_path, SPACE + BODY_3D + "[[solids]]\nlower = [0.5, 0.2, 0.2]\nsize = [0.4, 0.3, 0.2]\n")
+    write_surface(loaded, tmp_path / name)
     assert manifold(*outward(*read_mesh(tmp_path / name), "")).volume() == pytest.approx(0.4 * 0.3 * 0.2, rel=1e-5)
-    assert "ends in .stl" in str(refused(write_surface, found, tmp_path / "solids.txt"))
+    assert "ends in .stl" in str(refused(write_surface, loaded, tmp_path / "solids.txt"))
     assert "in 3D with" in str(refused(write_surface, scene(tmp_path, SPACE + BODY_3D), tmp_path / name))

@@ -26,10 +26,10 @@ def written(path: Path, shape: shapely.Geometry, crs: str | None = SWISS, thickn
 
 @pytest.mark.parametrize("name", ["field.shp", "field.gpkg", "field.geojson"])
 def test_each_format_has_the_polygons_and_their_attributes(tmp_path: Path, name: str) -> None:
-    found = read_polygons(written(tmp_path / name, PAIR), SWISS)
-    assert [each.polygon.area for each in found] == pytest.approx([1200.0, 100.0])
-    assert found[0].polygon.bounds == pytest.approx(FIELD.bounds)
-    assert [each.attributes["thickness"] for each in found] == [1.5, 1.5]
+    features = read_polygons(written(tmp_path / name, PAIR), SWISS)
+    assert [feature.polygon.area for feature in features] == pytest.approx([1200.0, 100.0])
+    assert features[0].polygon.bounds == pytest.approx(FIELD.bounds)
+    assert [feature.attributes["thickness"] for feature in features] == [1.5, 1.5]
 
 
 def test_the_polygons_of_one_layer(tmp_path: Path) -> None:
@@ -48,9 +48,9 @@ def test_the_polygons_of_one_layer(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["field.geojson", "field.kml"])
 def test_degrees_come_into_the_system_of_the_map(tmp_path: Path, name: str) -> None:
     degrees = shapely.transform(FIELD, lambda rows: np.stack(transform(SWISS, "EPSG:4326", *rows.T), axis=1))
-    (found,) = read_polygons(written(tmp_path / name, degrees, "EPSG:4326"), SWISS)
+    (feature,) = read_polygons(written(tmp_path / name, degrees, "EPSG:4326"), SWISS)
     # GDAL writes degrees to 1 cm.
-    assert found.polygon.symmetric_difference(FIELD).area < 2.0
+    assert feature.polygon.symmetric_difference(FIELD).area < 2.0
     if name.endswith("kml"):
         refused(read_polygons, tmp_path / name, None, said="got degrees")
 
@@ -60,8 +60,8 @@ def test_coordinates_without_a_system_are_those_of_the_map(tmp_path: Path) -> No
     text = shapely.to_geojson(FIELD)
     (tmp_path / "field.geojson").write_text(f'{{"type": "Feature", "properties": {{}}, "geometry": {text}}}')
     for crs in (SWISS, None):
-        (found,) = read_polygons(tmp_path / "field.geojson", crs)
-        assert found.polygon.bounds == FIELD.bounds
+        (feature,) = read_polygons(tmp_path / "field.geojson", crs)
+        assert feature.polygon.bounds == FIELD.bounds
 
 
 def test_what_holds_no_polygons_is_one_line(tmp_path: Path) -> None:

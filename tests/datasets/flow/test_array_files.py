@@ -80,7 +80,7 @@ def test_a_file_grows_by_frames_and_appears_at_the_end(flow: Trajectory, tmp_pat
     np.testing.assert_array_equal(Trajectory.load(path).positions, flow.positions)
     with pytest.raises(TypeError), FrameWriter(tmp_path / "lost.h5") as file:
         file.put(scene=object())
-    assert [each.name for each in tmp_path.iterdir()] == ["flow.h5"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["flow.h5"]
 
 
 def test_damage_within_a_frame_is_one_line_when_it_is_read(flow: Trajectory, tmp_path: Path) -> None:
@@ -120,8 +120,8 @@ OBJECTS = "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"
     ],
 )
 def test_hostile_members(tmp_path: Path, content: bytes, expected: str) -> None:
-    found = refused(read_arrays, with_member(tmp_path / "bad.npz", content), said=expected)
-    assert (found.where, found.key) == (str(tmp_path / "bad.npz"), "data")
+    error = refused(read_arrays, with_member(tmp_path / "bad.npz", content), said=expected)
+    assert (error.where, error.key) == (str(tmp_path / "bad.npz"), "data")
 
 
 def test_hdf5_of_numbers(tmp_path: Path) -> None:
@@ -138,8 +138,8 @@ def test_hdf5_of_numbers(tmp_path: Path) -> None:
 def test_volumes_and_the_time_between_frames(trajectory: Trajectory) -> None:
     assert trajectory.frame_dt == trajectory.scene.frame_dt == 0.0025
     np.testing.assert_allclose(trajectory.volumes, np.full(5, 0.04 * 0.02 / 5))
-    own = dataclasses.replace(trajectory, positions=np.zeros((1, 32, 2), np.float32), time=np.zeros(1))
-    assert (own.volumes == own.scene.particle_volume).all()
+    single = dataclasses.replace(trajectory, positions=np.zeros((1, 32, 2), np.float32), time=np.zeros(1))
+    assert (single.volumes == single.scene.particle_volume).all()
     weighted = dataclasses.replace(trajectory, volume=np.arange(1.0, 6.0, dtype=np.float32), time=np.arange(3) * 0.01)
     np.testing.assert_allclose(weighted.volumes, np.arange(1.0, 6.0))
     assert weighted.frame_dt == pytest.approx(0.01)
@@ -162,8 +162,8 @@ def test_a_pickle_is_refused_and_not_run(tmp_path: Path) -> None:
     (tmp_path / "plain.npz").write_bytes(pickle.dumps(Calls(Path.touch, mark)))
     np.savez(tmp_path / "object.npz", gns_data=np.array([Calls(Path.touch, mark)], dtype=object))
     for name in ("plain.npz", "object.npz"):
-        found = refused(Trajectory.load, tmp_path / name, said="whole NPZ of plain arrays")
-        assert found.where == str(tmp_path / name)
+        error = refused(Trajectory.load, tmp_path / name, said="whole NPZ of plain arrays")
+        assert error.where == str(tmp_path / name)
     assert not mark.exists()
 
 

@@ -49,9 +49,9 @@ RECTANGLE = {"section": ((5.0, 14.0, 6.0), (5.0, 14.0, 10.0)), "direction": (1.0
 
 
 def inflow_of(scene: Scene) -> Inflow:
-    found = filling(scene, scene.masses[0]).inflow
-    assert found is not None
-    return found
+    inflow = filling(scene, scene.masses[0]).inflow
+    assert inflow is not None
+    return inflow
 
 
 @pytest.mark.parametrize(
@@ -62,10 +62,10 @@ def test_mass_and_momentum_that_have_entered_are_those_of_the_hydrograph_to_a_pa
     fine = np.linspace(0.0, scene.duration, 20_001)
     q, v = np.interp(fine, time, discharge, left=0.0, right=0.0), np.interp(fine, time, speed)
     entered = np.searchsorted(particles.entry_time, fine, side="right")
-    for rate, each in ((q, np.ones(len(particles.volume))), (q * v, np.linalg.norm(particles.velocities, axis=1))):
+    for rate, weight in ((q, np.ones(len(particles.volume))), (q * v, np.linalg.norm(particles.velocities, axis=1))):
         exact = np.append(0.0, np.cumsum(0.5 * np.diff(fine) * (rate[1:] + rate[:-1])))
-        found = np.append(0.0, np.cumsum(particles.volume * each))[entered]
-        assert np.abs(found - exact).max() < particles.volume[0] * each.max()
+        total = np.append(0.0, np.cumsum(particles.volume * weight))[entered]
+        assert np.abs(total - exact).max() < particles.volume[0] * weight.max()
     assert particles.volume.sum() == pytest.approx(exact_volume(scene), rel=1e-12)
 
 
@@ -95,20 +95,20 @@ def test_another_jitter_has_other_places_and_the_same_times() -> None:
 
 def test_across_a_valley_the_surface_is_level_above_the_ground_and_the_flow_goes_down_along_it() -> None:
     scene = valley(hydrograph=((0.0, 20.0, 4.0), (2.0, 20.0, 4.0)))
-    particles, found = initial_particles(scene), inflow_of(scene)
-    np.testing.assert_allclose(found.flow, np.array([1.0, -0.25, 0.0]) / np.hypot(1.0, 0.25), atol=1e-9)
+    particles, inflow = initial_particles(scene), inflow_of(scene)
+    np.testing.assert_allclose(inflow.flow, np.array([1.0, -0.25, 0.0]) / np.hypot(1.0, 0.25), atol=1e-9)
     above = particles.positions[:, 1] - elevation(scene.solids, scene.domain, particles.positions[:, ::2])
     assert above.min() >= 0.0
     # Across the flow the area is discharge over speed: as many particles lie below any share of the depth.
-    height_above = (particles.positions - found.foot) @ found.up
-    area = np.maximum(found.level[0] - found.bed, 0.0).sum() * found.width / len(found.bed)
+    height_above = (particles.positions - inflow.foot) @ inflow.up
+    area = np.maximum(inflow.level[0] - inflow.bed, 0.0).sum() * inflow.width / len(inflow.bed)
     assert area == pytest.approx(5.0, rel=1e-9)
-    assert height_above.max() < found.level[0] + 1e-6
+    assert height_above.max() < inflow.level[0] + 1e-6
     middle = np.abs(particles.positions[:, 2] - 10.0) < 1.0
-    strips = np.abs((np.arange(len(found.bed)) + 0.5) / len(found.bed) - 0.5) * found.width < 1.0
-    share = np.maximum(found.level[0] - found.bed, 0.0)[strips].sum() * found.width / len(found.bed) / area
+    strips = np.abs((np.arange(len(inflow.bed)) + 0.5) / len(inflow.bed) - 0.5) * inflow.width < 1.0
+    share = np.maximum(inflow.level[0] - inflow.bed, 0.0)[strips].sum() * inflow.width / len(inflow.bed) / area
     assert middle.mean() == pytest.approx(share, abs=0.01)
-    np.testing.assert_allclose((particles.positions - found.foot) @ found.flow, 0.0, atol=0.05)
+    np.testing.assert_allclose((particles.positions - inflow.foot) @ inflow.flow, 0.0, atol=0.05)
 
 
 def test_what_enters_after_the_end_is_not_there() -> None:

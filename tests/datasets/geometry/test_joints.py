@@ -51,7 +51,7 @@ def test_plates_that_meet_in_a_point_are_refused(first: float, second: float, ga
 
     def plates(apart: float) -> tuple[Solid, ...]:
         corners = plate(first, -1.0, (TIP[0] + apart, TIP[1])), plate(second, 1.0)
-        return tuple(Solid(kind="polygon", vertices=tuple(each)) for each in corners)
+        return tuple(Solid(kind="polygon", vertices=tuple(outline)) for outline in corners)
 
     said = "solids[1]: expected solids that overlap or share an edge, got one that meets solids[0] in a point"
     refused(lambda: surface(scene_of(*plates(gap), size=PLANE)), said=said + (" but for" if gap else ""))
@@ -112,5 +112,5 @@ def test_plates_that_share_an_edge_alone_are_refused_in_3d(first: float, second:
     ids=["side", "top", "a part of a face", "but for rounding", "apart", "closed by a third", "a thin plate"],
 )
 def test_solids_that_share_a_face_or_nothing_are_not(others: tuple[Solid, ...]) -> None:
-    found = surface(scene_of(FIRST, *others, size=SPACE))
-    assert set(found.solid.tolist()) == set(range(1 + len(others)))
+    faces = surface(scene_of(FIRST, *others, size=SPACE))
+    assert set(faces.solid.tolist()) == set(range(1 + len(others)))

@@ -50,8 +50,8 @@ def test_a_mistake_names_file_key_and_what_was_expected(
     path = tmp_path / "scene.toml"
     assert good in GOOD
     path.write_text(GOOD.replace(good, bad, 1))
-    found = refused(read_scene, str(path), said=expected)
-    assert (found.where, found.key) == (str(path), key)
+    error = refused(read_scene, str(path), said=expected)
+    assert (error.where, error.key) == (str(path), key)
 
 
 def test_no_such_file_no_such_name_and_a_problem(tmp_path: Path) -> None:
@@ -84,9 +84,9 @@ def test_shapes_stages_laws_and_numpy_numbers_that_are_written_read_back_equal(t
         open_sides=("x+",),
     )
     bar = Material(law="von-mises", friction_deg=0.0, constants={"strength": 2.0e4, "hardening": 3.0e4})
-    for each in (scene, scene_of(material=bar)):
-        write_scene(each, tmp_path / "again.toml")
-        assert read_scene(tmp_path / "again.toml") == each == Scene.from_json(each.to_json())
+    for written in (scene, scene_of(material=bar)):
+        write_scene(written, tmp_path / "again.toml")
+        assert read_scene(tmp_path / "again.toml") == written == Scene.from_json(written.to_json())
 
 
 SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=0.05)
@@ -126,7 +126,7 @@ def test_a_friction_in_degrees_and_a_layer_in_centimetres_are_warned_of() -> Non
     scene = scene_of(layer, size=(1.0, 6.0), cell=0.05, solids=(steep,), floor_friction=10.0)
     with pytest.warns(UserWarning, match=r"thickness|friction") as said:
         warn_if_unlikely(scene)
-    assert [str(each.message) for each in said] == [
+    assert [str(warning.message) for warning in said] == [
         "masses[0].thickness: 5 m is 8.3 times the length of the layer; in cm it would be 0.05 m",
         "solids[0]: a friction of 25 is a Coulomb coefficient; of an angle of 25 degrees it is 0.466",
     ]

@@ -103,25 +103,25 @@ def on_map(scene: Scene, crs: str | None = None) -> Scene:
 
 def test_a_scene_in_map_coordinates_is_the_scene(tmp_path: Path) -> None:
     """To the last bit of every length, and so of every particle; on the way back as well."""
-    own, found = read(tmp_path, in_space(0.0, 0.0, 0.0)), read(tmp_path, in_space(*PLACE))
-    assert found == on_map(own)
-    np.testing.assert_array_equal(initial_particles(found).positions, initial_particles(own).positions)
-    write_scene(found, tmp_path / "written.toml")
-    assert read_scene(tmp_path / "written.toml") == found == Scene.from_json(found.to_json())
+    local, placed = read(tmp_path, in_space(0.0, 0.0, 0.0)), read(tmp_path, in_space(*PLACE))
+    assert placed == on_map(local)
+    np.testing.assert_array_equal(initial_particles(placed).positions, initial_particles(local).positions)
+    write_scene(placed, tmp_path / "written.toml")
+    assert read_scene(tmp_path / "written.toml") == placed == Scene.from_json(placed.to_json())
     assert "2600003.1" in (tmp_path / "written.toml").read_text()
 
 
 def test_a_scene_in_2d_and_its_csv(tmp_path: Path) -> None:
     rows = [(0.0, 1.5), (2.0, 0.7), (4.0, 0.7)]
     east, up, _ = PLACE
-    found = []
+    scenes = []
     for place in ((0.0, 0.0), (east, up)):
         line = "\n".join(f"{x + place[0]},{y + place[1]}" for x, y in rows)
         (tmp_path / "line.csv").write_text(f"x,y\n{line}\n")
-        found.append(read(tmp_path, in_plane(*place)))
-    assert found[1] == on_map(found[0])
-    write_scene(found[1], tmp_path / "written.toml")
-    assert read_scene(tmp_path / "written.toml") == found[1]
+        scenes.append(read(tmp_path, in_plane(*place)))
+    assert scenes[1] == on_map(scenes[0])
+    write_scene(scenes[1], tmp_path / "written.toml")
+    assert read_scene(tmp_path / "written.toml") == scenes[1]
 
 
 def raster(path: Path, values: np.ndarray, east: float, north: float, crs: str | None) -> None:
@@ -152,13 +152,13 @@ def test_rasters_lie_where_they_say(tmp_path: Path) -> None:
     x = east - 1.0 + 0.5 * (np.arange(12) + 0.5)
     raster(tmp_path / "dem.asc", np.tile(up + 0.7 + 0.1 * (x - east), (8, 1)), east - 1.0, north - 1.0, "EPSG:2056")
     raster(tmp_path / "release.tif", np.full((2, 3), 0.2), east + 1.0, north + 0.5, "EPSG:2056")
-    found = read(tmp_path, RASTERS)
-    assert (found.domain.origin, found.domain.crs, found.solids[0].corner) == (PLACE, "EPSG:2056", None)
-    assert mass_volumes(found)[0] == pytest.approx(6 * 0.25 * 0.2, rel=1e-9)
-    assert found.masses[0].lower[::2] == pytest.approx((1.0, 0.5), abs=1e-9)
-    assert found.masses[0].lower[1] == pytest.approx(0.8, abs=0.01)
-    write_scene(found, tmp_path / "written.toml")
-    assert read_scene(tmp_path / "written.toml") == found
+    scene = read(tmp_path, RASTERS)
+    assert (scene.domain.origin, scene.domain.crs, scene.solids[0].corner) == (PLACE, "EPSG:2056", None)
+    assert mass_volumes(scene)[0] == pytest.approx(6 * 0.25 * 0.2, rel=1e-9)
+    assert scene.masses[0].lower[::2] == pytest.approx((1.0, 0.5), abs=1e-9)
+    assert scene.masses[0].lower[1] == pytest.approx(0.8, abs=0.01)
+    write_scene(scene, tmp_path / "written.toml")
+    assert read_scene(tmp_path / "written.toml") == scene
     placed = read(tmp_path, RASTERS.replace('"release.tif"', f'"release.tif"\nat = [{east + 2.0}, {north}]'))
     assert placed.masses[0].lower[::2] == pytest.approx((2.0, 0.0), abs=1e-9)
 
@@ -195,18 +195,18 @@ def test_what_is_no_place_is_one_line(tmp_path: Path, old: str, new: str, said: 
 
 def test_what_is_written_lies_on_the_map(tmp_path: Path) -> None:
     """Maps, outlines and VTK of a flow that moves by 0.3 m: as in the box's own coordinates, at the place."""
-    own = read(tmp_path, in_space(0.0, 0.0, 0.0))
-    start = initial_particles(own).positions
-    found = {}
-    for name, scene in (("own", own), ("map", on_map(own, "EPSG:2056"))):
+    boxed = read(tmp_path, in_space(0.0, 0.0, 0.0))
+    start = initial_particles(boxed).positions
+    flows = {}
+    for name, scene in (("own", boxed), ("map", on_map(boxed, "EPSG:2056"))):
         flow = flow_of(scene, [start, start + np.array([0.3, 0.0, 0.0])])
         flow.save(tmp_path / f"{name}.npz")
         flow, folder = Trajectory.load(tmp_path / f"{name}.npz"), tmp_path / name
         folder.mkdir()
-        found[name] = flow
+        flows[name] = flow
         write(flow, maps_of(flow, 0.1), folder)
         write_vtk(flow, folder)
-    np.testing.assert_array_equal(found["own"].positions, found["map"].positions)
+    np.testing.assert_array_equal(flows["own"].positions, flows["map"].positions)
     (east, _, north), (one, other) = PLACE, (tmp_path / "own", tmp_path / "map")
     for name in ("thickness", "depth", "velocity"):
         with rasterio.open(one / f"{name}.tif") as local, rasterio.open(other / f"{name}.tif") as placed:
@@ -222,4 +222,4 @@ def test_what_is_written_lies_on_the_map(tmp_path: Path) -> None:
     for name in ("particles-0001.vtp", "solids.vtp", "domain.vtp"):
         local, placed = (pyvista.read(folder / name).points for folder in (one, other))
         np.testing.assert_allclose(placed - np.array(PLACE), local, atol=1e-6)
-    assert "expected a flow in a box at" in str(refused(compare, found["own"], found["map"]))
+    assert "expected a flow in a box at" in str(refused(compare, flows["own"], flows["map"]))

@@ -138,16 +138,16 @@ def test_a_material_without_a_modulus_gets_what_its_flow_needs(tmp_path: Path) -
     """2 MPa in the laboratory; 50 rho g h of a thick layer; rho v^2 of a fast one; its own where it has one."""
     assert box().material.young == USUAL_YOUNG
     thick, flat = Mass(lower=(0.0, 0.0), size=(20.0, 8.0)), (200.0, 130.0)
-    found = scene_of(thick, size=flat, cell=1.0, material=SNOW, floor_friction=0.5)
-    assert found.material.young == USUAL_YOUNG
+    layered = scene_of(thick, size=flat, cell=1.0, material=SNOW, floor_friction=0.5)
+    assert layered.material.young == USUAL_YOUNG
     dense = dataclasses.replace(SNOW, density=2000.0)
-    found = scene_of(thick, size=flat, cell=1.0, material=dense, floor_friction=0.5)
-    assert found.material.young == pytest.approx(50.0 * 2000.0 * 9.81 * 8.0)
+    layered = scene_of(thick, size=flat, cell=1.0, material=dense, floor_friction=0.5)
+    assert layered.material.young == pytest.approx(50.0 * 2000.0 * 9.81 * 8.0)
     fast = on_plane(sheet(1.0, velocity=(60.0, -30.0)))
     assert fast.material.young == pytest.approx(400.0 * greatest_speed(fast) ** 2)
     assert fast.material.modulus > USUAL_YOUNG
     write_scene(fast, tmp_path / "fast.toml")
     assert read_scene(tmp_path / "fast.toml") == fast
-    own = on_plane(sheet(1.0, velocity=(60.0, -30.0), material=dataclasses.replace(SAND, young=5.0e5)))
-    assert (own.masses[0].material or SAND).young == 5.0e5
-    assert own.material.young == fast.material.young
+    specified = on_plane(sheet(1.0, velocity=(60.0, -30.0), material=dataclasses.replace(SAND, young=5.0e5)))
+    assert (specified.masses[0].material or SAND).young == 5.0e5
+    assert specified.material.young == fast.material.young

@@ -28,8 +28,8 @@ def test_the_mass_of_random_thin_boxes_is_exact(dimension: int) -> None:
         assert len(points.volume) == len(points.positions) == particle_count(scene)
         for number, mass in enumerate(masses):
             mine = points.mass == number
-            found = math.fsum(points.volume[mine] * points.density[mine])
-            assert found == pytest.approx(math.prod(mass.size) * (1000.0 + 700.0 * number), rel=1e-12)
+            total = math.fsum(points.volume[mine] * points.density[mine])
+            assert total == pytest.approx(math.prod(mass.size) * (1000.0 + 700.0 * number), rel=1e-12)
         np.testing.assert_array_equal(particle_volumes(scene, len(points.volume)), points.volume)
 
 
@@ -101,8 +101,8 @@ def test_linear_fields_are_exact_inside_and_constant_beyond(grid: Grid) -> None:
     extent = np.array(grid.spacing) * (np.array(grid.nodes) - 1)
     slope = rng.normal(size=len(grid.nodes))
     inside = np.array(grid.origin) + rng.random((50, len(slope))) * extent
-    found = grid.weights(inside) @ (3.0 + grid.positions @ slope)
-    np.testing.assert_allclose(found, 3.0 + inside @ slope, rtol=1e-12)
+    values = grid.weights(inside) @ (3.0 + grid.positions @ slope)
+    np.testing.assert_allclose(values, 3.0 + inside @ slope, rtol=1e-12)
     beyond = inside + 10.0
     moved = np.minimum(beyond, np.array(grid.origin) + extent)
     np.testing.assert_allclose(grid.weights(beyond) @ (grid.positions @ slope), moved @ slope, rtol=1e-12)

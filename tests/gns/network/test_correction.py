@@ -29,19 +29,19 @@ def corrected(lively: Simulator) -> Simulator:
 
 
 def test_the_end_is_moved_and_the_way_to_it_stretched(corrected: Simulator, cloud: Cloud) -> None:
-    state, conditions = (each.to(dtype=torch.float64) for each in cloud(lower=(0.1, 0.0), velocity=(1.0, 0.0)))
+    state, conditions = (part.to(dtype=torch.float64) for part in cloud(lower=(0.1, 0.0), velocity=(1.0, 0.0)))
     raw = unroll(corrected, state, conditions, 12, corrected=False)
-    found = unroll(corrected, state, conditions, 12)
-    off = (found - raw).norm(dim=2)
+    frames = unroll(corrected, state, conditions, 12)
+    off = (frames - raw).norm(dim=2)
     assert not off[0].any()
     assert off[-1].median() > 1e-4
     # In proportion to the motion so far, but where the floor or a wall stops it.
-    free = (found[-1, :, 1] > 1e-3) & (found[-1, :, 0] > 1e-3)
+    free = (frames[-1, :, 1] > 1e-3) & (frames[-1, :, 0] > 1e-3)
     share = (off[1:, free] / off[-1, free]).median(dim=1).values
     assert (share.diff() >= -1e-12).all()
     assert 0.0 < share[0] < 0.3
     size = conditions.size[0]
-    assert ((found[1:] >= 0.0) & (found[1:] <= size)).all()
+    assert ((frames[1:] >= 0.0) & (frames[1:] <= size)).all()
     # Sand that has not moved stays.
     still = state.positions.expand(4, -1, -1)
     torch.testing.assert_close(stretched(still, torch.ones_like(state.positions), conditions), still)
@@ -50,14 +50,14 @@ def test_the_end_is_moved_and_the_way_to_it_stretched(corrected: Simulator, clou
 def test_samples_side_by_side_are_corrected_as_alone(corrected: Simulator, cloud: Cloud) -> None:
     flows = [cloud(lower=(0.1, 0.0), velocity=(speed, 0.0), seed=seed) for seed, speed in ((0, 1.0), (1, 0.3))]
     flows = [(state.to(dtype=torch.float64), conditions.to(dtype=torch.float64)) for state, conditions in flows]
-    alone = torch.cat([unroll(corrected, *each, 6) for each in flows], dim=1)
+    alone = torch.cat([unroll(corrected, *flow, 6) for flow in flows], dim=1)
     states, conditions = zip(*flows, strict=True)
     together = unroll(corrected, State.joined(states), Conditions.joined(conditions), 6)
     torch.testing.assert_close(together, alone, atol=1e-9, rtol=0.0)
 
 
 def test_the_gradient_of_a_corrected_end_is_that_of_differences(corrected: Simulator, cloud: Cloud) -> None:
-    state, conditions = (each.to(dtype=torch.float64) for each in cloud(lower=(0.3, 0.2), velocity=(0.5, 0.0)))
+    state, conditions = (part.to(dtype=torch.float64) for part in cloud(lower=(0.3, 0.2), velocity=(0.5, 0.0)))
 
     def mean_x(friction: torch.Tensor) -> torch.Tensor:
         changed = dataclasses.replace(conditions, friction=conditions.friction + friction)
@@ -73,9 +73,9 @@ def test_the_gradient_of_a_corrected_end_is_that_of_differences(corrected: Simul
 def test_ends_and_equal_shares_are_the_measured_ones() -> None:
     rng = np.random.default_rng(0)
     positions, volume = rng.random((300, 3)), rng.random(300) + 0.1
-    found = measured(torch.from_numpy(positions), torch.from_numpy(volume))
-    assert found.shape == (2, 2 + measures.SHARES)
-    for axis, row in zip((0, 2), found.numpy(), strict=True):
+    figures = measured(torch.from_numpy(positions), torch.from_numpy(volume))
+    assert figures.shape == (2, 2 + measures.SHARES)
+    for axis, row in zip((0, 2), figures.numpy(), strict=True):
         line = positions[:, [axis]]
         rear, front = measures.ends(line, volume)
         np.testing.assert_allclose(row, [front, -rear, *measures.equal_shares(line, volume)], rtol=1e-12)
@@ -90,7 +90,7 @@ def test_a_correction_learns_and_is_left_out_where_the_steps_change(
     assert run_train(dataset, tmp_path / "ends", *begin, *more, "--updates", "120") == 0
     before = float(rows(tmp_path / "steps")[-1]["score"])
     assert float(rows(tmp_path / "ends")[-1]["score"]) < 0.8 * before
-    steps, ends = (checkpoint.load(tmp_path / each / "best.safetensors").simulator for each in ("steps", "ends"))
+    steps, ends = (checkpoint.load(tmp_path / folder / "best.safetensors").simulator for folder in ("steps", "ends"))
     assert steps.correction is None
     assert ends.correction is not None
     for name, weights in steps.state_dict().items():

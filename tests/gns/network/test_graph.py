@@ -116,7 +116,7 @@ def test_the_fused_sum_equals_the_definition(dimension: int, width: int) -> None
     inputs = random_inputs(dimension, width)
     # Far out on both sides of the sigmoid too.
     inputs[1][0], inputs[1][1] = 300.0, -300.0
-    expected = summed([each.double() for each in inputs]).float()
+    expected = summed([tensor.double() for tensor in inputs]).float()
     torch.testing.assert_close(summed(inputs), expected, atol=5e-5, rtol=5e-5)
 
 
@@ -124,12 +124,12 @@ def test_the_fused_sum_equals_the_definition(dimension: int, width: int) -> None
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_its_gradients_are_those_of_the_definition(frozen: int | None, dimension: int) -> None:
     inputs, seed = random_inputs(dimension, 21), torch.randn(40, 21)
-    found = []
+    gradients = []
     for dtype in (torch.float32, torch.float64):
-        own = [each.to(dtype) for each in inputs]
-        leaves = [each.requires_grad_() for index, each in enumerate(own) if index != frozen]
-        found.append(torch.autograd.grad(summed(own), leaves, seed.to(dtype)))
-    for got, expected in zip(*found, strict=True):
+        copies = [tensor.to(dtype) for tensor in inputs]
+        leaves = [leaf.requires_grad_() for index, leaf in enumerate(copies) if index != frozen]
+        gradients.append(torch.autograd.grad(summed(copies), leaves, seed.to(dtype)))
+    for got, expected in zip(*gradients, strict=True):
         torch.testing.assert_close(got, expected.float(), atol=5e-4, rtol=5e-4)
 
 

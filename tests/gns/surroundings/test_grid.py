@@ -96,7 +96,7 @@ def test_it_is_the_share_of_random_points_of_a_cell(dimension: int, is_turned: b
     assert share.min() == 0.0
     assert share.max() == pytest.approx(1.0)
     begin, end = (
-        torch.stack(torch.meshgrid(*(each[0] for each in part), indexing="ij"), dim=-1).reshape(-1, dimension)
+        torch.stack(torch.meshgrid(*(axis[0] for axis in part), indexing="ij"), dim=-1).reshape(-1, dimension)
         for part in stencil.cells(around.size)
     )
     within = ((end - begin).prod(1) > 0.0).nonzero().squeeze(1)

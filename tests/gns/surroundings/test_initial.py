@@ -130,7 +130,7 @@ def test_a_similar_scene_has_the_scaled_rollout(lively: Simulator, name: str) ->
     lively.settings = dataclasses.replace(lively.settings, body_length=0.13)
     scene, length = VARIANTS[name], 36.0
     other = scaled(scene, length, gravity=3.71, density=2600.0)
-    flow, larger = (simulate(each, model=lively) for each in (scene, other))
+    flow, larger = (simulate(variant, model=lively) for variant in (scene, other))
     time = math.sqrt(length * scene.gravity / 3.71)
     np.testing.assert_allclose(larger.time, time * flow.time, rtol=1e-6)
     assert np.abs(flow.positions[-1] - flow.positions[0]).max() > 0.05
@@ -166,24 +166,24 @@ def test_turbulence_of_the_ground_brakes_as_friction_that_grows_with_the_speed()
     settings = dataclasses.replace(SETTINGS, dimension=3, cell=0.02, radius=0.05, grid_cell=0.04, body_length=0.252)
     mass = Mass(lower=(0.4, 0.1, 0.4), size=(0.4, 0.1, 0.4), velocity=(2.0, 0.0, 0.0))
     scene = scene_of(mass, size=(1.2, 0.4, 1.2), cell=0.02, solids=(bed,), duration=0.1)
-    found = {}
+    friction = {}
     for name, xi in (("none", None), ("even", 100.0), ("varied", varied)):
-        own = dataclasses.replace(scene, solids=(dataclasses.replace(bed, turbulence=xi),))
+        turbulent = dataclasses.replace(scene, solids=(dataclasses.replace(bed, turbulence=xi),))
         for scale in (1.0, 9.0):
-            initial = initial_state(scaled(own, scale), settings)
+            initial = initial_state(scaled(turbulent, scale), settings)
             state, conditions = in_model_units(initial.state, initial.conditions)
             moment = Moment(state, conditions, settings, NORMALISATION)
-            found[name, scale] = moment.solids[:, -1] / (1.0 - moment.solids[:, 6]).clamp(min=1e-6)
-    lowest = found["none", 1.0] > 0.0
+            friction[name, scale] = moment.solids[:, -1] / (1.0 - moment.solids[:, 6]).clamp(min=1e-6)
+    lowest = friction["none", 1.0] > 0.0
     assert 0 < lowest.sum() < len(lowest)
-    torch.testing.assert_close(found["none", 1.0][lowest], torch.full((int(lowest.sum()),), 0.3))
+    torch.testing.assert_close(friction["none", 1.0][lowest], torch.full((int(lowest.sum()),), 0.3))
     # The column of 0.1 m has, on nodes of the grid, about its height and a cell more for the particle.
-    drag = (found["even", 1.0] - 0.3)[lowest]
+    drag = (friction["even", 1.0] - 0.3)[lowest]
     assert float(drag.median()) == pytest.approx(2.0**2 / (100.0 * (0.1 + 0.02)), rel=0.2)
     x = initial_state(scene, settings).state.positions[lowest, 0]
-    torch.testing.assert_close((found["varied", 1.0] - 0.3)[lowest], drag * (1.0 + x), rtol=1e-3, atol=0.0)
+    torch.testing.assert_close((friction["varied", 1.0] - 0.3)[lowest], drag * (1.0 + x), rtol=1e-3, atol=0.0)
     # A flow of any size is braked alike.
-    torch.testing.assert_close(found["even", 9.0], found["even", 1.0], rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(friction["even", 9.0], friction["even", 1.0], rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize(("bed", "expected"), [(0.3, 0.3), (0.9, math.tan(math.radians(35.0)))])

@@ -88,7 +88,7 @@ def test_the_gradient_is_that_of_central_differences(dimension: int, is_turned: 
     points, batch = near_surfaces(baffles, 60, generator)
     distance, *_ = of_baffles(points, baffles, batch, turn)
     assert 5 < int((distance < 0.0).sum()) < 50
-    inputs = tuple(each.requires_grad_() for each in (points, baffles, turn))
+    inputs = tuple(tensor.requires_grad_() for tensor in (points, baffles, turn))
     assert torch.autograd.gradcheck(
         lambda x, b, t: of_baffles(x, b, batch, t), inputs, eps=1e-7, atol=1e-5, fast_mode=True
     )
@@ -183,14 +183,14 @@ def test_gradients_are_those_of_central_differences(dimension: int) -> None:
     raster, rough = ground.elevation.requires_grad_(), ground.friction.clone().requires_grad_()
 
     def features(x: Tensor, h: Tensor, mu: Tensor) -> Tensor:
-        own = dataclasses.replace(ground, elevation=h, friction=mu)
-        return solid_features(x, conditions(len(x), dimension=dimension, ground=own, batch=batch), CUTOFF)
+        varied = dataclasses.replace(ground, elevation=h, friction=mu)
+        return solid_features(x, conditions(len(x), dimension=dimension, ground=varied, batch=batch), CUTOFF)
 
     assert torch.autograd.gradcheck(features, (points, raster, rough), eps=1e-7, atol=1e-5, fast_mode=True)
 
     def kept(x: Tensor, h: Tensor) -> Tensor:
-        own = dataclasses.replace(ground, elevation=h)
-        return keep_out(x, x.detach(), conditions(len(x), dimension=dimension, ground=own, batch=batch))
+        varied = dataclasses.replace(ground, elevation=h)
+        return keep_out(x, x.detach(), conditions(len(x), dimension=dimension, ground=varied, batch=batch))
 
     assert torch.autograd.gradcheck(kept, (points, raster), eps=1e-8, atol=1e-5, fast_mode=True)
 

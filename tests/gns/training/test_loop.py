@@ -33,14 +33,14 @@ def test_the_loss_measures_positions_and_displacements() -> None:
 
 def test_half_precision_hardly_turns_the_gradient(settings: ModelSettings, dataset: Path) -> None:
     sampler = Sampler([flows_of(dataset, "train", settings)], settings, TrainingSettings(batch=2))
-    batch, found = sampler.batch(4, np.random.default_rng(0)), []
+    batch, gradients = sampler.batch(4, np.random.default_rng(0)), []
     for half in (False, True):
         torch.manual_seed(0)
         simulator = Simulator(settings, NORMALISATION)
         simulator.network.half_precision = half
         slopes = torch.autograd.grad(UnrolledLoss(simulator, TrainingSettings())(batch), list(simulator.parameters()))
-        found.append(torch.cat([each.flatten() for each in slopes]))
-    assert torch.cosine_similarity(*found, dim=0) > 0.99
+        gradients.append(torch.cat([slope.flatten() for slope in slopes]))
+    assert torch.cosine_similarity(*gradients, dim=0) > 0.99
 
 
 def run(dataset: Path, out: Path, *flags: str) -> int:
@@ -55,20 +55,20 @@ def last(out: Path) -> dict[str, Any]:
 def test_a_training_learns_and_leaves_a_model_with_its_card(dataset: Path, tmp_path: Path) -> None:
     flags = ("--updates", "60", "--validations", "3", "--learning-rate", "1e-2", "--warmup", "5")
     assert run(dataset, tmp_path, *flags) == 0
-    found = rows(tmp_path)
-    places = [float(row["front"]) + float(row["profile"]) for row in found]
+    logged = rows(tmp_path)
+    places = [float(row["front"]) + float(row["profile"]) for row in logged]
     assert places[-1] < 0.5 * places[0]
     # Heights are learned more slowly.
-    scores = [place + float(row["thickness"]) for place, row in zip(places, found, strict=True)]
-    assert [float(row["score"]) for row in found] == pytest.approx(scores, abs=1e-3)
+    scores = [place + float(row["thickness"]) for place, row in zip(places, logged, strict=True)]
+    assert [float(row["score"]) for row in logged] == pytest.approx(scores, abs=1e-3)
     assert scores[-1] < 0.9 * scores[0]
-    assert {"height", "thickness", "overlap", "creep"} < found[0].keys()
+    assert {"height", "thickness", "overlap", "creep"} < logged[0].keys()
     assert last(tmp_path)["muon"]["state"]
     assert last(tmp_path)["adam"]["state"]
-    known, best = card.read(tmp_path / "best.safetensors"), checkpoint.load(tmp_path / "best.safetensors")
-    assert known.datasets[dataset.name].scenes == 4
-    assert known.ranges["friction_deg"] == (20.0, 44.0)
-    assert "released at rest" in (tmp_path / "scores.md").read_text() == known.scores
+    model_card, best = card.read(tmp_path / "best.safetensors"), checkpoint.load(tmp_path / "best.safetensors")
+    assert model_card.datasets[dataset.name].scenes == 4
+    assert model_card.ranges["friction_deg"] == (20.0, 44.0)
+    assert "released at rest" in (tmp_path / "scores.md").read_text() == model_card.scores
     assert (best.provenance["seed"], best.provenance["datasets"]) == (0, [str(dataset)])
 
 
@@ -92,7 +92,7 @@ def test_a_run_that_was_stopped_goes_on(
     call: str, number: int, done: int, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flags = ("--updates", "6", "--validations", "2")
-    handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    handlers = [signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)]
     inner, calls = getattr(loop, call), itertools.count(1)
 
     def outer(*given: Any, **named: Any) -> Any:
@@ -105,7 +105,7 @@ def test_a_run_that_was_stopped_goes_on(
     with monkeypatch.context() as patch:
         patch.setattr(loop, call, outer)
         assert run(dataset, tmp_path, *flags) == 128 + signal.SIGTERM
-    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
+    assert [signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)] == handlers
     assert last(tmp_path)["position"]["updates"] == done
     assert run(dataset, tmp_path, *flags, "--resume") == 0
     assert [row["updates"] for row in rows(tmp_path)] == ["3", "6"]
@@ -121,8 +121,8 @@ def test_a_gradient_that_is_not_finite_ends_the_run_and_leaves_an_older_file(
     assert run(dataset, tmp_path, "--updates", "3", "--resume") == 1
     assert "the gradient of update 3 is not finite; last.pt is older and whole" in capsys.readouterr().err
     assert (tmp_path / LAST).read_bytes() == before
-    found = card.read(tmp_path / "best.safetensors")
-    assert found.training.updates == 2
+    model_card = card.read(tmp_path / "best.safetensors")
+    assert model_card.training.updates == 2
 
 
 def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -137,9 +137,9 @@ def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys
     assert card.total_updates(checkpoint.load(other).provenance) == 2
     assert "second/best.safetensors: 1 new updates, 2 in all" in capsys.readouterr().out
     # The first row is the score of the weights that it begins with.
-    found = rows(tmp_path / "second")
-    assert [(row["updates"], row["loss"] == "nan") for row in found] == [("0", True), ("1", False)]
-    assert found[0]["score"] == found[1]["score"]
+    logged = rows(tmp_path / "second")
+    assert [(row["updates"], row["loss"] == "nan") for row in logged] == [("0", True), ("1", False)]
+    assert logged[0]["score"] == logged[1]["score"]
     assert (tmp_path / "second" / "log.png").stat().st_size > 10_000
     # No weight depends on the speed of rest.
     assert run(dataset, tmp_path / "slower", *begin, "--rest-speed", "0.02") == 0

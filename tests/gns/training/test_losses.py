@@ -39,12 +39,12 @@ def test_the_gradient_of_the_density_is_that_of_central_differences(dimension: i
     off, way = (0.01 * torch.randn(points.shape, generator=generator, dtype=torch.float64) for _ in range(2))
     free = (points + off).requires_grad_()
     slope = torch.autograd.grad(density_loss(free, points, around, cell=CELL), free)[0]
-    found = float((slope * way).sum())
+    derivative = float((slope * way).sum())
     with torch.no_grad():
         # So short a way that no particle comes to another cell, where the weights have a kink.
         high, low = (density_loss(free + sign * 1.0e-5 * way, points, around, cell=CELL) for sign in (1.0, -1.0))
-    assert abs(found) > 1.0e-3
-    assert found == pytest.approx(float(high - low) / 2.0e-5, rel=1.0e-6)
+    assert abs(derivative) > 1.0e-3
+    assert derivative == pytest.approx(float(high - low) / 2.0e-5, rel=1.0e-6)
 
 
 def test_a_flow_that_is_puffed_up_or_a_layer_higher_is_seen() -> None:

@@ -88,10 +88,10 @@ def test_training_and_rollout_give_the_network_the_same_numbers(
     rollout = initial_state(scene, settings)
     assert (rollout.conditions.units == Units()) is (body_length is None)
     assert rollout.conditions.cohesion.unique().numel() > 10
-    own = in_model_units(rollout.state, rollout.conditions)
+    unitless = in_model_units(rollout.state, rollout.conditions)
     trained, rolled = (
         {**tensors(state), **tensors(conditions), **tensors(Inputs.of_moment(moment)), "forces": moment.forces}
-        for state, conditions in ((sample.state, sample.conditions), own)
+        for state, conditions in ((sample.state, sample.conditions), unitless)
         for moment in (simulator.moment(state, conditions),)
     )
     assert trained.keys() == rolled.keys()
@@ -107,9 +107,9 @@ def test_a_stretch_gives_the_past_that_there_is(
 ) -> None:
     flow, every = flows[0], dataclasses.replace(settings, particles_per_cell=4)
     sample = stretch(flow, every, now=now, steps=3, rng=np.random.default_rng(0))
-    state, known = sample.state, np.diff(flow.positions[given], axis=0)
+    state, past = sample.state, np.diff(flow.positions[given], axis=0)
     assert np.array_equal(state.positions, flow.positions[now])
-    assert np.array_equal(state.displacements[len(state.displacements) - len(known) :], known)
+    assert np.array_equal(state.displacements[len(state.displacements) - len(past) :], past)
     assert np.array_equal(sample.targets, flow.positions[now + 1 : now + 4])
     few = stretch(flow, settings, now=now, steps=3, rng=np.random.default_rng(0))
     assert few.conditions.volume.sum() == pytest.approx(flow.volume.sum())
@@ -190,10 +190,10 @@ def test_statistics_leave_gravity_out(flows: Flows, along: float) -> None:
     flow = dataclasses.replace(
         flows[0], positions=falling, velocity0=np.zeros((5, 2), np.float32), conditions=conditions
     )
-    found = statistics([[flow]])
-    assert found.acceleration_scale < 1e-6
-    assert found.friction_mean == pytest.approx(1.0)
-    assert found.friction_std == 1.0
+    normalisation = statistics([[flow]])
+    assert normalisation.acceleration_scale < 1e-6
+    assert normalisation.friction_mean == pytest.approx(1.0)
+    assert normalisation.friction_std == 1.0
 
 
 @pytest.fixture
@@ -215,25 +215,25 @@ def deep() -> SampleBatch:
     def some(*shape: int) -> torch.Tensor:
         return torch.from_numpy(rng.random(shape, np.float32))
 
-    own = dict(zip(("friction", "cohesion", "volume"), some(3, 7), strict=True))
+    per_particle = dict(zip(("friction", "cohesion", "volume"), some(3, 7), strict=True))
     ground = Ground(elevation=some(1, 9, 9), friction=some(1, 9, 9), spacing=0.1, drag=some(1, 9, 9))
     return SampleBatch(
         state=State(positions=some(7, 3), displacements=some(3, 7, 3)),
-        conditions=dataclasses.replace(conditions_of(scene, 0.1, **own, units=Units()), ground=ground),
+        conditions=dataclasses.replace(conditions_of(scene, 0.1, **per_particle, units=Units()), ground=ground),
         targets=some(2, 7, 3),
     )
 
 
 def tensors(value: Any) -> dict[str, torch.Tensor]:
     """All tensors of a record, by name."""
-    found = {}
+    by_name = {}
     for field in dataclasses.fields(value):
-        each = getattr(value, field.name)
-        if isinstance(each, torch.Tensor):
-            found[field.name] = each
-        elif dataclasses.is_dataclass(each):
-            found |= {f"{field.name}.{name}": part for name, part in tensors(each).items()}
-    return found
+        member = getattr(value, field.name)
+        if isinstance(member, torch.Tensor):
+            by_name[field.name] = member
+        elif dataclasses.is_dataclass(member):
+            by_name |= {f"{field.name}.{name}": part for name, part in tensors(member).items()}
+    return by_name
 
 
 @pytest.mark.parametrize("axis", [0, 2, None])
@@ -246,13 +246,13 @@ def test_a_mirror_turns_its_axes_and_twice_changes_nothing(deep: SampleBatch, ax
     torch.testing.assert_close(once.state.displacements[..., side], sign * moved[..., order[side]])
     assert after.gravity[0, side] == sign * before.gravity[0, order[side]]
     assert torch.equal(after.baffle_turn, -before.baffle_turn)
-    for own, there in ((deep.state.positions, once.state.positions), (deep.targets, once.targets)):
-        mine = own[..., order]
+    for original, there in ((deep.state.positions, once.state.positions), (deep.targets, once.targets)):
+        mine = original[..., order]
         torch.testing.assert_close(there[..., side], mine[..., side] if sign > 0 else 0.8 - mine[..., side])
         assert torch.equal(there[..., 1], mine[..., 1])
         gaps = [
             (points[..., None, None, :] - around.baffles[0]).abs().sort(dim=-2).values[..., axes]
-            for points, around, axes in ((own, before, order), (there, after, [0, 1, 2]))
+            for points, around, axes in ((original, before, order), (there, after, [0, 1, 2]))
         ]
         torch.testing.assert_close(*gaps, atol=1e-6, rtol=0.0)
     for there, here in (
@@ -269,8 +269,8 @@ def test_a_mirror_turns_its_axes_and_twice_changes_nothing(deep: SampleBatch, ax
 
 def test_samples_in_3d_come_in_all_eight_symmetries(deep: SampleBatch) -> None:
     rng = np.random.default_rng(0)
-    found = {tuple(turned(deep, rng).targets[0, 0].double().round(decimals=5).tolist()) for _ in range(100)}
-    assert len(found) == 8
+    variants = {tuple(turned(deep, rng).targets[0, 0].double().round(decimals=5).tolist()) for _ in range(100)}
+    assert len(variants) == 8
 
 
 ROOT = Path(__file__).parents[3]

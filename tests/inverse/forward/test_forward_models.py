@@ -140,8 +140,8 @@ def test_a_layer_is_ten_lines() -> None:
 
     for index, step in enumerate(CHANGES):
         change = np.where(np.arange(len(VALUES)) == index, step, 0.0)
-        found = (loss(VALUES + change) - loss(VALUES - change)) / (2.0 * step)
-        assert float(parameters.grad[index]) == pytest.approx(found, rel=2e-4), LAYERED[index]
+        slope = (loss(VALUES + change) - loss(VALUES - change)) / (2.0 * step)
+        assert float(parameters.grad[index]) == pytest.approx(slope, rel=2e-4), LAYERED[index]
 
 
 def test_the_impulse_on_a_baffle() -> None:

@@ -74,8 +74,8 @@ def test_a_table_is_read_once(tmp_path: Path) -> None:
 def test_what_is_no_profile_of_this_flow_is_refused_with_the_reason(
     x: np.ndarray, height: np.ndarray, settings: dict[str, object], message: str, tmp_path: Path
 ) -> None:
-    found = refused(lambda: target_of(measured(tmp_path, x, height, **settings)), said=message)
-    assert found.where.endswith("profile.csv")
+    error = refused(lambda: target_of(measured(tmp_path, x, height, **settings)), said=message)
+    assert error.where.endswith("profile.csv")
 
 
 def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> None:
@@ -154,11 +154,11 @@ def test_a_gap_in_the_rows_is_no_mistake(tmp_path: Path) -> None:
         lines = [line if not 6 <= number - 1 <= 12 else blank for number, line in enumerate(text)]
         (tmp_path / "profile.csv").write_text("\n".join(lines) + "\n")
         scene = read_problem("friction-tall-42").scene
-        found = ProfileSettings(csv="profile.csv").read(scene, tmp_path, 0.08)
-        assert found.profile is not None
-        assert found.profile.gaps is not None
-        assert found.profile.gaps.sum() == 1
-        np.testing.assert_allclose(found.values, whole.values, atol=1e-9)
+        gapped = ProfileSettings(csv="profile.csv").read(scene, tmp_path, 0.08)
+        assert gapped.profile is not None
+        assert gapped.profile.gaps is not None
+        assert gapped.profile.gaps.sum() == 1
+        np.testing.assert_allclose(gapped.values, whole.values, atol=1e-9)
 
 
 @pytest.mark.parametrize("heights", [Heights.EQUIVALENT, Heights.SURFACE])

@@ -76,16 +76,16 @@ def test_the_smooth_toe_is_a_tenth_of_the_volume() -> None:
 
 
 def test_the_loss_of_points_is_their_mean_squared_distance() -> None:
-    required, found = deposit(200, seed=0), deposit(200, seed=1)
+    required, predicted = deposit(200, seed=0), deposit(200, seed=1)
     whole = made("deposit")
-    expected = np.mean(np.sum((found - required) ** 2, axis=1))
-    assert whole.misfit(found.ravel(), required.ravel()) == pytest.approx(expected)
+    expected = np.mean(np.sum((predicted - required) ** 2, axis=1))
+    assert whole.misfit(predicted.ravel(), required.ravel()) == pytest.approx(expected)
     some = np.array([3, 17, 90])
     part = whole.of_particles(required.ravel(), some)
     np.testing.assert_array_equal(part, required[some].ravel())
     toe = made("toe")
-    apart = toe.exact(found) - toe.exact(required)
-    assert toe.misfit(toe.exact(found), toe.exact(required)) == pytest.approx(float(apart @ apart))
+    apart = toe.exact(predicted) - toe.exact(required)
+    assert toe.misfit(toe.exact(predicted), toe.exact(required)) == pytest.approx(float(apart @ apart))
 
 
 ROOT = np.random.default_rng(0).normal(size=(4, 4))
@@ -357,8 +357,8 @@ def test_what_moves_is_differentiable_in_the_speed() -> None:
     tip = measures.front(run.positions[0], run.volumes)
     for settings, slope in ((ArrivalSettings(x=(tip + 0.4,)), -0.1), (SpeedSettings(x=(0.2, 0.6)), 1.0)):
         (number,) = settings.operator(run.scene).predict(rollout)
-        (found,) = torch.autograd.grad(number, speed, retain_graph=True)
-        assert float(found) == pytest.approx(slope, rel=1e-4)
+        (derivative,) = torch.autograd.grad(number, speed, retain_graph=True)
+        assert float(derivative) == pytest.approx(slope, rel=1e-4)
 
 
 def test_the_peak_force_is_the_largest_mean_over_its_window() -> None:

@@ -59,8 +59,8 @@ def test_the_volume_is_the_particles_and_its_slope_is_exact() -> None:
     assert shown.sum() * 0.4**2 == pytest.approx(run.volumes.sum(), rel=1e-12)
     points = torch.from_numpy(run.positions[0]).double().requires_grad_(True)
     weights = torch.linspace(0.0, 1.0, len(shown), dtype=torch.float64)
-    found = thickness.smooth(points, torch.from_numpy(run.volumes)) @ weights
-    (slope,) = torch.autograd.grad(found, points)
+    weighted = thickness.smooth(points, torch.from_numpy(run.volumes)) @ weights
+    (slope,) = torch.autograd.grad(weighted, points)
     step = torch.zeros_like(points)
     step[100, 0] = 1e-6
     ahead, behind = (thickness.smooth(points + s * step, torch.from_numpy(run.volumes)) @ weights for s in (1.0, -1.0))
@@ -189,7 +189,7 @@ def test_our_own_outline_is_compared_at_its_own_threshold(tmp_path: Path) -> Non
     circles = {
         level: shapely.transform(shapely.Polygon(ring(r)), corner.__add__) for level, r in ((0.05, 1.2), (0.08, 1))
     }
-    written = np.array([shapely.to_wkb(each) for each in circles.values()])
+    written = np.array([shapely.to_wkb(circle) for circle in circles.values()])
     columns = [np.array(["deposit"] * 2, object), np.array([*circles])]
     for name, fields in (("own.gpkg", ["name", "threshold_m"]), ("other.gpkg", ["name", "depth"])):
         pyogrio.raw.write(tmp_path / name, written, columns, fields, geometry_type="Polygon", crs="EPSG:2056")

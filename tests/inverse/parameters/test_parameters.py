@@ -43,9 +43,9 @@ def test_the_initial_state_is_that_of_the_scene(flow: int | str) -> None:
     scene = with_parameters(problem.scene, names, values)
     direct = GnsForward(simulator, dataclasses.replace(problem, scene=scene), observation).initial
     entered = GnsForward(simulator, problem, observation).entered(torch.from_numpy(values))
-    found = tensors(entered.conditions)
+    inputs = tensors(entered.conditions)
     for name, required in tensors(direct.conditions).items():
-        torch.testing.assert_close(found[name], required, rtol=1e-6, atol=1e-7, msg=name)
+        torch.testing.assert_close(inputs[name], required, rtol=1e-6, atol=1e-7, msg=name)
     torch.testing.assert_close(entered.state.displacements, direct.state.displacements, rtol=1e-6, atol=1e-9)
 
 
@@ -53,8 +53,8 @@ def test_the_cutoff_changes_with_the_cohesion() -> None:
     scene = problem_of(2, "cohesion").scene
     changed = with_parameters(scene, ["cohesion", "masses[1].cohesion"], [400.0, 900.0])
     assert (changed.material.cohesion, changed.material.tension_cutoff) == (400.0, 200.0)
-    own = changed.masses[1].material
-    assert (own.cohesion, own.tension_cutoff) == (900.0, 150.0)
+    soil = changed.masses[1].material
+    assert (soil.cohesion, soil.tension_cutoff) == (900.0, 150.0)
     none = dataclasses.replace(scene, material=Material(friction_deg=30.0))
     assert with_parameters(none, ["cohesion"], [50.0]).material.tension_limit == 0.003 * 50.0
 
@@ -122,7 +122,7 @@ def test_what_is_written_is_read_and_nothing_else_changes(scene: Scene, names: t
         changed = with_parameters(scene, [name], [value])
         assert kind(name).read(changed) == pytest.approx(value)
         others = [other for other in names if other != name]
-        np.testing.assert_allclose(*([kind(other).read(each) for other in others] for each in (changed, scene)))
+        np.testing.assert_allclose(*([kind(other).read(variant) for other in others] for variant in (changed, scene)))
     assert all(kind(name).input is None for name in INTO_MATERIAL)
     assert not kind("solids[0].turbulence").predicted
     thicker = with_parameters(COVERED, ["masses[0].thickness"], [0.15])

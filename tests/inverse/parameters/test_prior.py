@@ -44,29 +44,31 @@ def number(prior: Prior | None, name: str = "friction_deg", **bounds: float) -> 
 def joint(first: float = 0.15, second: float = 0.2, coefficient: float = -0.5) -> JointPrior:
     """Of two normal numbers about 0.4 and 0.6 whose bounds, 0 and 1, hardly cut them off."""
     numbers = [
-        number(Prior(kind="normal", mean=mean, deviation=own), name, lower=0.0, upper=1.0)
-        for name, mean, own in (("first", 0.4, first), ("second", 0.6, second))
+        number(Prior(kind="normal", mean=mean, deviation=deviation), name, lower=0.0, upper=1.0)
+        for name, mean, deviation in (("first", 0.4, first), ("second", 0.6, second))
     ]
     return JointPrior(
-        {each.name: each.marginal for each in numbers},
+        {parameter.name: parameter.marginal for parameter in numbers},
         [Correlation(between=("first", "second"), coefficient=coefficient)],
     )
 
 
-@pytest.mark.parametrize("prior", [NORMAL, LOGNORMAL, TRIANGULAR, Prior(kind="uniform")], ids=lambda each: each.kind)
+@pytest.mark.parametrize("prior", [NORMAL, LOGNORMAL, TRIANGULAR, Prior(kind="uniform")], ids=lambda prior: prior.kind)
 def test_a_measurement_that_says_nothing_leaves_the_prior(prior: Prior) -> None:
     stated, rng = JointPrior({"friction_deg": number(prior).marginal}), np.random.default_rng(0)
     points = rng.random((30, 1))
     numbers = 1e-3 * points + rng.standard_normal((30, 1))
-    found = posterior(points, numbers, target_of(np.zeros(1)), scatter=np.ones(1), rng=rng, prior=stated)
+    inference = posterior(points, numbers, target_of(np.zeros(1)), scatter=np.ones(1), rng=rng, prior=stated)
     shares = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
-    quantiles = np.quantile(found.samples.points[:, 0], shares, weights=found.samples.weights, method="inverted_cdf")
+    quantiles = np.quantile(
+        inference.samples.points[:, 0], shares, weights=inference.samples.weights, method="inverted_cdf"
+    )
     exact = EXACT[prior.kind](shares)
     np.testing.assert_allclose(LOWER + (UPPER - LOWER) * quantiles, exact, atol=0.8)
     # What draws of a prior are made by is exact.
     np.testing.assert_allclose(LOWER + (UPPER - LOWER) * stated.at(shares[:, None])[:, 0], exact, rtol=1e-9)
     # History matching excludes by runs alone.
-    even = found.plausible.points[:, 0]
+    even = inference.plausible.points[:, 0]
     assert np.mean(even) == pytest.approx(0.5, abs=0.06)
 
 
@@ -82,15 +84,15 @@ def test_a_gaussian_likelihood_and_a_gaussian_prior_have_the_closed_form() -> No
         off = points - mean
         return np.asarray(prior(points) - 0.5 * ((off @ measured) * off).sum(axis=1))
 
-    found: Samples = sample(density, np.random.default_rng(0), low=np.zeros(2), high=np.ones(2))
+    samples: Samples = sample(density, np.random.default_rng(0), low=np.zeros(2), high=np.ones(2))
     deviation = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(found.mean, centre, atol=0.15 * deviation.min())
-    np.testing.assert_allclose(found.covariance, covariance, atol=0.15 * deviation.min() ** 2)
+    np.testing.assert_allclose(samples.mean, centre, atol=0.15 * deviation.min())
+    np.testing.assert_allclose(samples.covariance, covariance, atol=0.15 * deviation.min() ** 2)
     # int p L = N(mean; m0, C0 + C) sqrt(det 2 pi C), less what is cut off.
     spread = np.linalg.inv(before) + np.linalg.inv(measured)
     exact = stats.multivariate_normal([0.4, 0.6], spread).logpdf(mean)
     exact += 0.5 * np.linalg.slogdet(2.0 * np.pi * np.linalg.inv(measured))[1]
-    assert found.evidence == pytest.approx(exact, abs=0.1)
+    assert samples.evidence == pytest.approx(exact, abs=0.1)
     slopes = prior.slope(np.array([[0.5, 0.5], [0.2, 0.7]]))
     np.testing.assert_allclose(slopes, (np.array([0.4, 0.6]) - [[0.5, 0.5], [0.2, 0.7]]) @ before, rtol=0.1, atol=0.3)
 
@@ -103,7 +105,7 @@ def test_normal_scores_have_the_stated_correlation(coefficient: float) -> None:
     values = LOWER + (UPPER - LOWER) * points
     for index, kind in enumerate(("triangular", "lognormal")):
         assert stats.kstest(EXACT[kind](np.linspace(0.0, 1.0, 2001)), values[:, index]).pvalue > 1e-3
-    scores = stats.norm.ppf([stats.rankdata(own) / (len(own) + 1.0) for own in values.T])
+    scores = stats.norm.ppf([stats.rankdata(column) / (len(column) + 1.0) for column in values.T])
     assert np.corrcoef(scores)[0, 1] == pytest.approx(coefficient, abs=0.03)
     # The density belongs to the draws: its mean over the box is 1, and so is that of its inverse over draws.
     middles = (np.arange(200) + 0.5) / 200.0
@@ -159,17 +161,19 @@ def stated(folder: Path, text: str = GOOD) -> Problem:
 
 
 def plain(problem: Problem) -> tuple[Parameter, ...]:
-    return tuple(dataclasses.replace(each, prior=None, initial=each.start) for each in problem.parameters)
+    return tuple(
+        dataclasses.replace(parameter, prior=None, initial=parameter.start) for parameter in problem.parameters
+    )
 
 
 def test_a_stated_prior_is_read_and_a_uniform_one_is_none(tmp_path: Path) -> None:
     read = stated(tmp_path)
     # The search starts at the median: of a lognormal number exp(mu), all but what the bounds cut off.
     np.testing.assert_allclose(read.initial, [30.0, 600.0 / np.sqrt(1.0 + (4.0 / 6.0) ** 2)], rtol=0.01)
-    for each in read.parameters:
-        assert from_mapping(Parameter, changed(each)) == each
+    for parameter in read.parameters:
+        assert from_mapping(Parameter, changed(parameter)) == parameter
     assert read_problem("cohesion-friction").prior is None
-    uniform = tuple(dataclasses.replace(each, prior=Prior(kind="uniform")) for each in plain(read))
+    uniform = tuple(dataclasses.replace(parameter, prior=Prior(kind="uniform")) for parameter in plain(read))
     assert dataclasses.replace(read, parameters=uniform, correlations=()).prior is None
 
 
@@ -187,14 +191,14 @@ def test_a_lognormal_velocity_below_0_and_pairs_that_contradict_each_other_are_r
 def test_the_gradient_ends_at_the_most_probable_parameters(made: type[Formula]) -> None:
     """Numbers that are linear in one parameter, as precise together as its prior: the mean of both."""
     free = problem_of(2, NAMES[0])
-    (known,), low, width = free.parameters, free.box.lower[0], free.box.range[0]
+    (parameter,), low, width = free.parameters, free.box.lower[0], free.box.range[0]
     prior = Prior(kind="normal", mean=low + 0.6 * width, deviation=0.05 * width)
-    problem = dataclasses.replace(free, parameters=(dataclasses.replace(known, prior=prior),))
+    problem = dataclasses.replace(free, parameters=(dataclasses.replace(parameter, prior=prior),))
     forward = made(problem, curvature=0.0)
     (values,) = forward.observe([low + np.array([0.4]) * width])
     noise = 0.05 * 0.1 * float(torch.linalg.norm(forward.matrix))
     target = target_of(values, Covariance(np.full(len(values), noise)))
-    found = inverted(forward, problem, target, np.zeros(len(values)), rough=0.01)
-    (answer,) = found.answers
+    result = inverted(forward, problem, target, np.zeros(len(values)), rough=0.01)
+    (answer,) = result.answers
     assert answer.point[0] == pytest.approx(0.5, abs=0.01)
     assert answer.half_widths[0] == pytest.approx(1.96 * 0.05 / np.sqrt(2.0), rel=0.25)

@@ -68,8 +68,8 @@ def test_it_is_the_textbooks_universal_kriging(monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_allclose(left_out[5], numbers[5] - expected, atol=1e-8)
     short = basis[5] - whole[5, others] @ alone @ basis[others]
     gained = short @ np.linalg.solve(basis[others].T @ alone @ basis[others], short)
-    own = whole[5, 5] - whole[5, others] @ alone @ whole[others, 5] + gained
-    np.testing.assert_allclose(left_out_variance[5], own * scale, rtol=1e-6)
+    unexplained = whole[5, 5] - whole[5, others] @ alone @ whole[others, 5] + gained
+    np.testing.assert_allclose(left_out_variance[5], unexplained * scale, rtol=1e-6)
 
 
 def test_its_intervals_hold_what_they_should() -> None:

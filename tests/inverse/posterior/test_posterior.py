@@ -45,12 +45,12 @@ def exact_deviations() -> Matrix:
 
 def test_a_linear_response_has_the_exact_posterior() -> None:
     """Least squares by one observation: (J^T J)^-1 s^2."""
-    found = [inferred(truth=(0.4, 0.7), seed=seed) for seed in range(6)]
-    deviations = np.array([np.sqrt(np.diag(each.samples.covariance)) for each in found])
+    inferences = [inferred(truth=(0.4, 0.7), seed=seed) for seed in range(6)]
+    deviations = np.array([np.sqrt(np.diag(inference.samples.covariance)) for inference in inferences])
     np.testing.assert_allclose(np.median(deviations, axis=0), exact_deviations(), rtol=0.25)
-    off = np.array([each.samples.mean - (0.4, 0.7) for each in found]) / deviations
+    off = np.array([inference.samples.mean - (0.4, 0.7) for inference in inferences]) / deviations
     assert 0.4 < np.sqrt(np.mean(off**2)) < 1.6
-    assert all(each.emulator_share < 0.15 for each in found)
+    assert all(inference.emulator_share < 0.15 for inference in inferences)
 
 
 def test_errors_that_are_counted_larger_widen_it_in_proportion() -> None:
@@ -71,10 +71,10 @@ def test_a_posterior_wider_than_its_region_leaves_it() -> None:
     """The region of an earlier wave, too narrow: the bounds of the prior alone cut a posterior off."""
     mean, deviation = np.array([0.4, 0.7]), exact_deviations()
     narrow = Region(low=mean - 1.5 * deviation, high=mean + 1.5 * deviation)
-    found = inferred(region=narrow)
-    assert np.all(np.sqrt(np.diag(found.samples.covariance)) > 0.8 * deviation)
-    assert np.all(found.region.low < narrow.low)
-    assert np.all(found.region.high > narrow.high)
+    inference = inferred(region=narrow)
+    assert np.all(np.sqrt(np.diag(inference.samples.covariance)) > 0.8 * deviation)
+    assert np.all(inference.region.low < narrow.low)
+    assert np.all(inference.region.high > narrow.high)
     # Samples of many parameters lie beyond their runs.
     for unknowns, edge in ((6, 0.6), (7, 0.62)):
         region = Region(low=np.full(unknowns, 0.4), high=np.full(unknowns, 0.6))
@@ -88,13 +88,13 @@ def test_a_weak_parameter_has_a_direction_of_its_own() -> None:
     points, waves = rng.random((50, 6)), rng.normal(size=(6, 400))
     waves[5] *= 0.1
     numbers = points @ waves + (points[:, :5] ** 2) @ rng.normal(size=(5, 400))
-    found = reduction(numbers, points, target_of(numbers[0]), scatter=np.full(400, 1e-4))
-    assert np.linalg.norm(found.basis.T @ waves[5]) > 0.6 * np.linalg.norm(waves[5])
+    reduced = reduction(numbers, points, target_of(numbers[0]), scatter=np.full(400, 1e-4))
+    assert np.linalg.norm(reduced.basis.T @ waves[5]) > 0.6 * np.linalg.norm(waves[5])
     shifted = numbers - numbers.mean(axis=0)
-    principal = np.linalg.svd(shifted)[2][: found.basis.shape[1]]
+    principal = np.linalg.svd(shifted)[2][: reduced.basis.shape[1]]
     assert np.linalg.norm(principal @ waves[5]) < 0.5 * np.linalg.norm(waves[5])
-    np.testing.assert_allclose(found.basis.T @ found.basis, np.eye(found.basis.shape[1]), atol=1e-10)
-    np.testing.assert_allclose(found(found.numbers(found(numbers))), found(numbers))
+    np.testing.assert_allclose(reduced.basis.T @ reduced.basis, np.eye(reduced.basis.shape[1]), atol=1e-10)
+    np.testing.assert_allclose(reduced(reduced.numbers(reduced(numbers))), reduced(numbers))
 
 
 def test_repeated_runs_show_the_scatter_alone() -> None:
@@ -116,11 +116,11 @@ def test_runs_go_where_the_emulator_knows_least() -> None:
     points = rng.random((40, 2))
     points[:, 0] = np.where(points[:, 0] < 0.7, points[:, 0] * 0.45 / 0.7, 0.75 + (points[:, 0] - 0.7) * 0.25 / 0.3)
     numbers = np.sin(4.0 * points[:, 1:]) + 0.3 * np.sin(9.0 * points[:, :1]) * 0.02
-    found = posterior(points, numbers, target_of(np.array([0.9])), scatter=np.array([0.02]), rng=rng)
-    chosen = next_points(found, 3, np.random.default_rng(1))
+    inference = posterior(points, numbers, target_of(np.array([0.9])), scatter=np.array([0.02]), rng=rng)
+    chosen = next_points(inference, 3, np.random.default_rng(1))
     assert len(np.unique(chosen, axis=0)) == 3
-    _, at_runs = found.emulator.predict(points)
-    _, at_chosen = found.emulator.predict(chosen)
+    _, at_runs = inference.emulator.predict(points)
+    _, at_chosen = inference.emulator.predict(chosen)
     assert np.median(at_chosen) > np.median(at_runs)
 
 
@@ -144,23 +144,23 @@ def residuals(*, crossed: bool) -> tuple[float, float]:
     slopes = 20.0 * rng.standard_normal((UNKNOWNS, NUMBERS))
     points, further = rng.random((RUNS, UNKNOWNS)), rng.random((200, UNKNOWNS))
     points[:3] = 0.5
-    runs, others = (each @ slopes + 5.0 * rng.standard_normal((len(each), NUMBERS)) for each in (points, further))
+    runs, others = (batch @ slopes + 5.0 * rng.standard_normal((len(batch), NUMBERS)) for batch in (points, further))
     mean = runs.mean(axis=0)
     runs, others = runs - mean, others - mean
-    found = np.linalg.lstsq(points - points.mean(axis=0), runs, rcond=None)[0]
-    first = directions(found, UNKNOWNS, 0.0)
+    coefficients = np.linalg.lstsq(points - points.mean(axis=0), runs, rcond=None)[0]
+    first = directions(coefficients, UNKNOWNS, 0.0)
     components = cross_fitted(runs, points, first) if crossed else runs @ first
     fit = np.linalg.lstsq(linear(points), components, rcond=None)[0]
-    own = ((components - linear(points) @ fit) ** 2).sum() / (RUNS - UNKNOWNS - 1) / UNKNOWNS
-    return float(np.sqrt(own)), float(np.sqrt(((others @ first - linear(further) @ fit) ** 2).mean()))
+    variance = ((components - linear(points) @ fit) ** 2).sum() / (RUNS - UNKNOWNS - 1) / UNKNOWNS
+    return float(np.sqrt(variance)), float(np.sqrt(((others @ first - linear(further) @ fit) ** 2).mean()))
 
 
 def test_components_by_the_directions_of_other_runs_lie_no_closer_to_a_line_than_further_runs() -> None:
-    own, others = residuals(crossed=True)
+    fitted, others = residuals(crossed=True)
     # A prediction by eleven coefficients from 27 runs: its own error besides the scatter.
-    assert others < 1.7 * own
-    own, others = residuals(crossed=False)
-    assert others > 3.0 * own
+    assert others < 1.7 * fitted
+    fitted, others = residuals(crossed=False)
+    assert others > 3.0 * fitted
 
 
 ROUGHNESS = 0.05
@@ -179,11 +179,11 @@ def test_a_column_that_stands_may_have_all_parameters_at_which_it_does(seed: int
     points = rng.random((40, 2))
     numbers = jumping(points) + ROUGHNESS * rng.standard_normal((40, 2))
     values = jumping(np.array([[0.3, 0.4]]))[0] + ROUGHNESS * rng.standard_normal(2)
-    found = posterior(points, numbers, target_of(values), scatter=np.full(2, ROUGHNESS), rng=rng)
-    regime = found.likelihood.regime
+    inference = posterior(points, numbers, target_of(values), scatter=np.full(2, ROUGHNESS), rng=rng)
+    regime = inference.likelihood.regime
     assert np.all(regime.inside[:, 0] < EDGE)
     assert np.all(regime.outside[:, 0] > EDGE)
-    samples = found.samples
+    samples = inference.samples
     # The second parameter by two numbers of slopes 1 and 0.7; of the first that it is below the edge.
     assert samples.mean[1] == pytest.approx(0.4, abs=0.12)
     assert np.sqrt(samples.covariance[1, 1]) == pytest.approx(ROUGHNESS / np.hypot(1.0, 0.7), rel=0.5)
@@ -218,13 +218,13 @@ def gaussian(points: Matrix, centre: Matrix, deviation: float) -> Matrix:
 @pytest.mark.parametrize("unknowns", [1, 2, 10])
 def test_a_gaussian_has_its_moments_and_its_evidence(unknowns: int) -> None:
     centre, deviation = np.linspace(0.4, 0.6, unknowns), 0.02
-    found = sample(lambda points: gaussian(points, centre, deviation), np.random.default_rng(0), **whole(unknowns))
-    np.testing.assert_allclose(found.mean, centre, atol=0.15 * deviation)
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), deviation, rtol=0.12)
-    assert found.evidence == pytest.approx(unknowns * np.log(deviation * np.sqrt(2.0 * np.pi)), abs=0.15 * unknowns)
-    assert found.difference < 0.25
-    assert found.acceptance > 0.05
-    (part,) = parts(found, lambda points: gaussian(points, centre, deviation), np.random.default_rng(1))
+    samples = sample(lambda points: gaussian(points, centre, deviation), np.random.default_rng(0), **whole(unknowns))
+    np.testing.assert_allclose(samples.mean, centre, atol=0.15 * deviation)
+    np.testing.assert_allclose(np.sqrt(np.diag(samples.covariance)), deviation, rtol=0.12)
+    assert samples.evidence == pytest.approx(unknowns * np.log(deviation * np.sqrt(2.0 * np.pi)), abs=0.15 * unknowns)
+    assert samples.difference < 0.25
+    assert samples.acceptance > 0.05
+    (part,) = parts(samples, lambda points: gaussian(points, centre, deviation), np.random.default_rng(1))
     np.testing.assert_allclose(part.half_widths, 1.96 * deviation, rtol=0.15)
     assert part.weight == pytest.approx(1.0)
 
@@ -236,8 +236,8 @@ def test_two_maxima_keep_their_shares() -> None:
     def density(points: Matrix) -> Matrix:
         return np.logaddexp(np.log(3.0) + gaussian(points, one, 0.015), gaussian(points, other, 0.015))
 
-    found = sample(density, np.random.default_rng(0), **whole(2))
-    heavy, light = parts(found, density, np.random.default_rng(1))
+    samples = sample(density, np.random.default_rng(0), **whole(2))
+    heavy, light = parts(samples, density, np.random.default_rng(1))
     np.testing.assert_allclose(heavy.point, one, atol=0.003)
     np.testing.assert_allclose(light.point, other, atol=0.003)
     assert heavy.weight == pytest.approx(0.75, abs=0.08)
@@ -247,8 +247,8 @@ def test_a_curved_ridge_is_one_part_and_a_ring_has_no_answer_in_its_middle() -> 
     def ring(points: Matrix) -> Matrix:
         return np.asarray(-0.5 * ((np.linalg.norm(points - 0.5, axis=1) - 0.3) / 0.02) ** 2)
 
-    found = sample(ring, np.random.default_rng(0), **whole(2))
-    (part,) = parts(found, ring, np.random.default_rng(1))
+    samples = sample(ring, np.random.default_rng(0), **whole(2))
+    (part,) = parts(samples, ring, np.random.default_rng(1))
     assert np.linalg.norm(part.point - 0.5) == pytest.approx(0.3, abs=0.05)
     assert min(part.half_widths) > 0.3
 
@@ -265,6 +265,6 @@ def test_a_ridge_that_ends_at_a_bound_has_its_quantiles() -> None:
     exact = quantiles(cells, np.exp(ridge(cells)) / np.exp(ridge(cells)).sum())
     shown = []
     for seed in range(4):
-        found = sample(ridge, np.random.default_rng(seed), **whole(2))
-        shown.append(quantiles(found.points, found.weights))
+        samples = sample(ridge, np.random.default_rng(seed), **whole(2))
+        shown.append(quantiles(samples.points, samples.weights))
     np.testing.assert_allclose(np.mean(shown, axis=0), exact, atol=0.01)

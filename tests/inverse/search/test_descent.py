@@ -35,7 +35,7 @@ class Formula:
 
     def observe(self, parameters: Sequence[Floats]) -> list[Floats]:
         self.runs += len(parameters)
-        return [self.formula(torch.from_numpy(each)).numpy() for each in parameters]
+        return [self.formula(torch.from_numpy(point)).numpy() for point in parameters]
 
     def select(self, target: Floats) -> Floats:
         return target
@@ -71,12 +71,12 @@ def test_the_truth_in_few_runs(made: type[Formula], share: tuple[float, float]) 
     problem = problem_of(2, *NAMES)
     truth = problem.box.lower + np.array(share) * problem.box.range
     forward = made(problem)
-    found = inversion(problem, forward, truth)
-    (answer,) = found.answers
+    result = inversion(problem, forward, truth)
+    (answer,) = result.answers
     # The half-width of a linear fit of twelve numbers of 1 mm to slopes of some 0.1 m.
     np.testing.assert_array_less(np.abs(answer.point - share), np.maximum(answer.half_widths, 0.01))
     assert answer.half_widths.max() < 0.05
-    assert forward.runs == len(found.runs) < 24
+    assert forward.runs == len(result.runs) < 24
 
 
 def test_both_roots_of_an_even_formula_are_answers() -> None:
@@ -88,15 +88,17 @@ def test_both_roots_of_an_even_formula_are_answers() -> None:
             return (share - 0.5) ** 2 * torch.ones(4, dtype=torch.float64)
 
     problem = problem_of(2, NAMES[0])
-    found = inversion(problem, Even(problem), problem.box.lower + 0.25 * problem.box.range)
-    assert sorted(round(float(each.point[0]), 2) for each in found.answers) == pytest.approx([0.25, 0.75], abs=0.02)
+    result = inversion(problem, Even(problem), problem.box.lower + 0.25 * problem.box.range)
+    assert sorted(round(float(answer.point[0]), 2) for answer in result.answers) == pytest.approx(
+        [0.25, 0.75], abs=0.02
+    )
 
 
 def test_parameters_beyond_the_bounds_end_on_them() -> None:
     problem = problem_of(2, *NAMES)
     forward = Formula(problem, curvature=0.0)
-    found = inversion(problem, forward, problem.box.upper + 0.2 * problem.box.range)
-    best = found.minima[int(np.argmin(found.misfits(found.minima)))]
+    result = inversion(problem, forward, problem.box.upper + 0.2 * problem.box.range)
+    best = result.minima[int(np.argmin(result.misfits(result.minima)))]
     assert best.max() == pytest.approx(1.0, abs=0.01)
 
 
@@ -112,18 +114,18 @@ class Count:
 
 def squared(points: Matrix, first: int) -> list[ModelRun]:
     """The squares of the parameters, and the number of the run."""
-    return [ModelRun(point=each, numbers=np.append(each**2, first + row)) for row, each in enumerate(points)]
+    return [ModelRun(point=point, numbers=np.append(point**2, first + row)) for row, point in enumerate(points)]
 
 
 def test_waves_follow_until_there_is_no_next_one_or_the_budget_is_spent() -> None:
-    known = tuple(squared(np.full((3, 2), 0.5), 100))
-    search = WaveSearch(model=squared, knowledge=Count(), seed=1, budget=10, known=known)
+    earlier = tuple(squared(np.full((3, 2), 0.5), 100))
+    search = WaveSearch(model=squared, knowledge=Count(), seed=1, budget=10, known=earlier)
     search = search.ran(filling(2, 3, search.generator(0), repeats=1))
-    found = search.in_waves(lambda state: state.generator().random((4, 2)) if state.left else None)
+    ended = search.in_waves(lambda state: state.generator().random((4, 2)) if state.left else None)
     # Of the third wave two runs are left over; the known ones are no part of the budget.
-    assert [each.runs for each in found.waves] == [7, 11, 13]
-    assert found.left == 0
-    np.testing.assert_array_equal(found.numbers[:, 2], [100, 101, 102, *range(10)])
-    np.testing.assert_array_equal(found.numbers[:, :2], found.points**2)
+    assert [wave.runs for wave in ended.waves] == [7, 11, 13]
+    assert ended.left == 0
+    np.testing.assert_array_equal(ended.numbers[:, 2], [100, 101, 102, *range(10)])
+    np.testing.assert_array_equal(ended.numbers[:, :2], ended.points**2)
     again = search.in_waves(lambda state: state.generator().random((4, 2)) if state.left else None)
-    np.testing.assert_array_equal(again.points, found.points)
+    np.testing.assert_array_equal(again.points, ended.points)

@@ -87,8 +87,8 @@ def central(function: Callable[[float], float], step: float) -> float:
     rounds.
     """
     steps = step * 10.0 ** -np.arange(0.0, 4.5, 0.5)
-    found = np.array([(function(h) - function(-h)) / (2.0 * h) for h in steps])
-    threes = np.lib.stride_tricks.sliding_window_view(found, 3)
+    derivatives = np.array([(function(h) - function(-h)) / (2.0 * h) for h in steps])
+    threes = np.lib.stride_tricks.sliding_window_view(derivatives, 3)
     return float(np.median(threes[np.argmin(np.ptp(threes, axis=1))]))
 
 

@@ -168,7 +168,7 @@ def value_at(record: Any, way: Way) -> Any:
 def raised(record: Any, way: Way, h: float) -> Any:
     """A record with the number at the end of a way raised by h, or all numbers of a table there."""
     if not way:
-        return tuple(raised(each, way, h) for each in record) if isinstance(record, tuple) else record + h
+        return tuple(raised(part, way, h) for part in record) if isinstance(record, tuple) else record + h
     key, rest = way[0], way[1:]
     if isinstance(key, int):
         return (*record[:key], raised(record[key], rest, h), *record[key + 1 :])
@@ -179,7 +179,7 @@ def raised(record: Any, way: Way, h: float) -> Any:
 
 def paths_of(scene: Scene) -> Iterator[tuple[Way, float]]:
     """Ways to the numbers that a scene has, and a step of each."""
-    absent = {"young"} if any(each.release for each in scene.masses) else set()
+    absent = {"young"} if any(mass.release for mass in scene.masses) else set()
     absent |= set() if scene.material.friction_limit_deg else {"inertial_number", "grain_density"}
     for way, step in STEPS.items():
         given = value_at(scene, way) and way[-1] not in absent and value_at(scene, way) != XI
@@ -250,8 +250,8 @@ def test_in_3d_it_is_that_of_central_differences_along_one_direction() -> None:
     slope = exact_gradient(scene, objective)
     direction = np.random.default_rng(1).normal(size=slope.velocities.shape)
     change = moved("velocities", direction)
-    found = central(lambda h: value_of(scene, objective, change(h)), 1e-5)
-    assert (slope.velocities * direction).sum() == pytest.approx(found, rel=2e-5)
+    derivative = central(lambda h: value_of(scene, objective, change(h)), 1e-5)
+    assert (slope.velocities * direction).sum() == pytest.approx(derivative, rel=2e-5)
 
 
 def test_the_remainder_falls_with_the_square_of_the_step() -> None:
@@ -291,14 +291,20 @@ def test_what_a_run_begins_with_is_made_anew_where_a_path_changes_it(change: dic
     """From each scene to the other, whatever they have in common."""
     scenes = plane(**BAFFLED), plane(**BAFFLED | change)
     for base, scene in (scenes, scenes[::-1]):
-        found, whole = started(scene, started(base)), started(scene)
+        renewed, whole = started(scene, started(base)), started(scene)
         for name in ("stress", "properties", "settings", "faces", "terrain"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
+            np.testing.assert_array_equal(getattr(renewed, name), getattr(whole, name), err_msg=name)
         for name in ("positions", "velocities", "velocity_gradients", "friction", "volume"):
-            np.testing.assert_array_equal(getattr(found.particles, name), getattr(whole.particles, name), err_msg=name)
+            np.testing.assert_array_equal(
+                getattr(renewed.particles, name), getattr(whole.particles, name), err_msg=name
+            )
         ours, theirs = (
-            {(*node, face): share for node, (face, _, share) in zip(each.held, each.holds, strict=True) if share > 0.0}
-            for each in (found, whole)
+            {
+                (*node, face): share
+                for node, (face, _, share) in zip(state.held, state.holds, strict=True)
+                if share > 0.0
+            }
+            for state in (renewed, whole)
         )
         assert ours.items() <= theirs.items()
         assert len(ours) > 0.8 * len(theirs) > 0.0
@@ -317,6 +323,6 @@ def test_a_path_that_moves_a_body_and_speeds_it_up() -> None:
         pushed = dataclasses.replace(first, lower=(low[0] + 0.1 * t, low[1]), velocity=(1.0 + t, 0.2 * t))
         return dataclasses.replace(scene, masses=(pushed, scene.masses[1]))
 
-    found = central(lambda h: value_of(scene_at(h), objective), 1e-5)
-    assert slope.along(scene_at, 0.0) == pytest.approx(found, rel=5e-6)
+    derivative = central(lambda h: value_of(scene_at(h), objective), 1e-5)
+    assert slope.along(scene_at, 0.0) == pytest.approx(derivative, rel=5e-6)
     refused(slope.along, lambda h: dataclasses.replace(scene, masses=scene.masses[:1]), 0.0, said="as many particles")

@@ -75,16 +75,16 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
             adj_trial, adj_strengths, adj_moduli = plastic_return_reverse(
                 adj + others, elastic.values, strengths, p[6], p[7], features
             )
-            found = ti.static(elastic(adj_trial))
+            adj_inputs = ti.static(elastic(adj_trial))
             for k in ti.static(range(stresses)):
-                result[at + k] = found[0][k]
+                result[at + k] = adj_inputs[0][k]
             for k in ti.static(range(gradients)):
-                result[at + stresses + k] = found[1][k]
+                result[at + stresses + k] = adj_inputs[1][k]
             at = at + stresses + gradients
             for k in ti.static(range(count)):
                 result[at + k] = adj_strengths[k]
             for k in ti.static(range(2)):
-                result[at + STRENGTHS + k] = adj_moduli[k] + found[2 + k]
+                result[at + STRENGTHS + k] = adj_moduli[k] + adj_inputs[2 + k]
 
     return forwards, backwards
 
@@ -103,7 +103,7 @@ def call(function: Callable[..., None], features: Features, inputs: Array, *othe
         return memory.reshape(-1, lanes)
 
     result = aligned((blocks * rows, lanes), real)
-    function(*(packed(each) for each in (inputs, *others)), result)
+    function(*(packed(matrix) for matrix in (inputs, *others)), result)
     return np.moveaxis(result.reshape(blocks, rows, lanes), 1, 0).reshape(rows, -1)[:, :count].astype(np.float64)
 
 
@@ -239,8 +239,8 @@ def test_on_an_edge_two_stresses_stay_equal(dimension: int, pair: float, single:
     for parting in ([1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]):
         adj = np.zeros_like(stress)
         adj[:4] = np.array(parting)[:, None]
-        found = reversed_step(features, inputs, adj)
-        np.testing.assert_allclose(found[: features.stresses], 0.0, atol=1e-12)
+        adjoints = reversed_step(features, inputs, adj)
+        np.testing.assert_allclose(adjoints[: features.stresses], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -255,6 +255,6 @@ def test_beside_a_crack_equal_stresses_turn_freely(dimension: int) -> None:
     inputs[first : first + 4] = np.array([0.3, 0.0, 20.0, 0.5])[:, None]
     adj = np.zeros_like(stress)
     adj[3] = 1.0
-    found = reversed_step(features, inputs, adj)
-    np.testing.assert_allclose(found[3], 1.0, atol=1e-12)
-    np.testing.assert_allclose(found[:3], 0.0, atol=1e-12)
+    adjoints = reversed_step(features, inputs, adj)
+    np.testing.assert_allclose(adjoints[3], 1.0, atol=1e-12)
+    np.testing.assert_allclose(adjoints[:3], 0.0, atol=1e-12)

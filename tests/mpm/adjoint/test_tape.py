@@ -35,16 +35,16 @@ def test_positions_are_those_of_the_solver(scene: Scene, precision: Precision) -
 def test_segments_do_not_change_the_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the bit: one frame a segment, three, or all frames in one."""
     scene = FLAT
-    found = []
+    slopes = []
     for length in (1, 3, scene.frames - 1):
         monkeypatch.setattr(
             Tape, "plan", lambda self, usual, most, k=length: sorted({*range(0, self.frames[-1], k), self.frames[-1]})
         )
-        found.append(gradient(scene, Weighted(scene), threads=1)[1])
-    for other in found[1:]:
+        slopes.append(gradient(scene, Weighted(scene), threads=1)[1])
+    for other in slopes[1:]:
         for name in ("positions", "velocities", "properties"):
-            np.testing.assert_array_equal(getattr(found[0], name), getattr(other, name))
-        np.testing.assert_allclose(found[0].settings, other.settings, rtol=1e-12)
+            np.testing.assert_array_equal(getattr(slopes[0], name), getattr(other, name))
+        np.testing.assert_allclose(slopes[0].settings, other.settings, rtol=1e-12)
 
 
 def test_grids_that_grow_backwards_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,10 +61,10 @@ def test_grids_that_grow_backwards_change_nothing(monkeypatch: pytest.MonkeyPatc
         return nodes(tape)
 
     monkeypatch.setattr(Tape, "nodes", counted)
-    found = gradient(thrown, Weighted(thrown), threads=1)[1]
+    slope = gradient(thrown, Weighted(thrown), threads=1)[1]
     assert len(rooms) > 1
     for name in ("positions", "velocities", "properties"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        np.testing.assert_array_equal(getattr(slope, name), getattr(expected, name))
 
 
 def test_memory_stays_within_the_budget_and_grows_with_the_root_of_the_steps() -> None:
@@ -90,12 +90,12 @@ def test_frames_between_are_observed_too() -> None:
     random = np.random.default_rng(1)
     weights = random.normal(size=shape)
     parts = [weights * (np.arange(3) == slot)[:, None, None] for slot in range(3)]
-    whole, *each = [slope for (slope,) in pull_back_all(tape, [[FlowAdjoints(w)] for w in (weights, *parts)])]
-    np.testing.assert_allclose(sum(part.velocities for part in each), whole.velocities, rtol=1e-9, atol=1e-12)
-    np.testing.assert_array_equal(each[0].positions, parts[0][0])
-    assert not each[0].velocities.any()
+    whole, *by_frame = [slope for (slope,) in pull_back_all(tape, [[FlowAdjoints(w)] for w in (weights, *parts)])]
+    np.testing.assert_allclose(sum(part.velocities for part in by_frame), whole.velocities, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(by_frame[0].positions, parts[0][0])
+    assert not by_frame[0].velocities.any()
     alone = gradient(dataclasses.replace(scene, duration=0.0075), lambda x, v: (0.0, parts[1][1:2], None), threads=1)[1]
-    np.testing.assert_allclose(each[1].velocities, alone.velocities, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(by_frame[1].velocities, alone.velocities, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -104,7 +104,9 @@ def test_scenes_side_by_side_are_as_alone() -> None:
     first, second = plane(volume_correction=True), plane(volume_correction=True, seed=3, gravity=40.0)
     tape = Tape([first, second], [8], threads=2)
     objectives = [Weighted(first), Weighted(second)]
-    together = pull_back_all(tape, [[FlowAdjoints(each.positions, each.velocities) for each in objectives]])[0]
+    together = pull_back_all(
+        tape, [[FlowAdjoints(objective.positions, objective.velocities) for objective in objectives]]
+    )[0]
     for scene, objective, ours in zip((first, second), objectives, together, strict=True):
         _, alone = gradient(scene, objective, threads=1)
         np.testing.assert_array_equal(ours.velocities, alone.velocities)
@@ -138,16 +140,16 @@ def test_lone_particles_that_swing_are_cut() -> None:
     scene = read_scene("layers-10")
     sand = dataclasses.replace(scene.material, cohesion=0.0, tension_cutoff=None)
     scene = dataclasses.replace(scene, material=sand, damping=0.0, volume_correction=False)
-    found = {}
+    slopes = {}
     for fraction, exact in ((0.9, True), (0.9, False), (0.8, False)):
         tape = Tape([dataclasses.replace(scene, step_fraction=fraction)], [400], threads=1, exact=exact)
         weights = np.zeros_like(tape.positions())
         weights[..., 0] = 1.0 / weights.shape[1]
-        ((found[fraction, exact],),) = pull_back_all(tape, [[FlowAdjoints(weights)]])
-    assert np.abs(found[0.9, True].velocities).max() > 1e3
-    assert 0.0 < found[0.9, False].cut < 1e-4
-    assert found[0.8, False].cut == 0.0
-    speeds = [found[fraction, False].of_mass(found[fraction, False].velocities)[:, 0] for fraction in (0.9, 0.8)]
+        ((slopes[fraction, exact],),) = pull_back_all(tape, [[FlowAdjoints(weights)]])
+    assert np.abs(slopes[0.9, True].velocities).max() > 1e3
+    assert 0.0 < slopes[0.9, False].cut < 1e-4
+    assert slopes[0.8, False].cut == 0.0
+    speeds = [slopes[fraction, False].of_mass(slopes[fraction, False].velocities)[:, 0] for fraction in (0.9, 0.8)]
     assert speeds[0].sum() == pytest.approx(speeds[1].sum(), rel=0.05)
 
 
@@ -159,7 +161,7 @@ def test_one_scene_on_two_threads(scene: Scene, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
     runs = [gradient(scene, Weighted(scene), threads=2)[1] for _ in range(2)]
     for name in ("positions", "velocities", "stress", "properties", "settings", "faces", "holds"):
-        expected, found, again = (getattr(each, name) for each in (alone, *runs))
-        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max(initial=1e-300))
+        expected, threaded, again = (getattr(slope, name) for slope in (alone, *runs))
+        np.testing.assert_allclose(threaded, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max(initial=1e-300))
         if not scene.baffles:
-            np.testing.assert_array_equal(found, again)
+            np.testing.assert_array_equal(threaded, again)

@@ -114,7 +114,7 @@ def test_what_the_law_does_not_go_with() -> None:
 
 def test_it_is_compiled_where_a_scene_has_it() -> None:
     plain = dataclasses.replace(CLAY, constants={"strength": 2.0e4})
-    soft, hard = (features_of([box(material=each)], "f32") for each in (plain, CLAY))
+    soft, hard = (features_of([box(material=material)], "f32") for material in (plain, CLAY))
     assert (soft.law_name, soft.strained, hard.strained) == ("von-mises", False, True)
     assert features_of([box()], "f32") == dataclasses.replace(soft, law_name="mohr-coulomb", cohesive=False)
     # A factor of safety divides the strength.

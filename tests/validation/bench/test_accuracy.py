@@ -46,10 +46,10 @@ def test_errors_are_of_fronts_and_profiles_over_the_extent() -> None:
 
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_tolerance_is_tried_on_other_scenes_than_the_measured(dimension: int) -> None:
-    known, unseen = (read_flows(dimension, unseen=each) for each in (False, True))
-    assert not set(known) & set(unseen)
-    assert not set(known.values()) & set(unseen.values())
-    for scene in (*known.values(), *unseen.values()):
+    seen, unseen = (read_flows(dimension, unseen=is_unseen) for is_unseen in (False, True))
+    assert not set(seen) & set(unseen)
+    assert not set(seen.values()) & set(unseen.values())
+    for scene in (*seen.values(), *unseen.values()):
         assert scene.dimension == dimension
         # Every whole number of cells fits the box.
         for cells in (4.0, 7.0, 80.0):
@@ -83,8 +83,8 @@ def test_an_error_that_grows_again_on_finer_grids_counts_on_the_coarse_one() -> 
     errors = found({5.0: (0.01, 0.1), 10.0: (0.06, 0.03), 20.0: (0.02, 0.01)})
     assert bound(errors, own(5.0)) == prediction_limit([0.06, 0.1])
     assert bound(errors, own(20.0)) == prediction_limit([0.02, 0.01])
-    known = measured(2, errors)
-    assert known[0].promised > known[2].promised >= 0.02
+    measurements = measured(2, errors)
+    assert measurements[0].promised > measurements[2].promised >= 0.02
     # Another step is compared with itself alone.
     other = {**errors, own(20.0, step_fraction=0.4): errors[own(5.0)]}
     assert bound(other, own(20.0)) == bound(errors, own(20.0))
@@ -94,12 +94,12 @@ def test_what_is_measured_is_what_a_tolerance_reads(tmp_path: Path) -> None:
     square = read_flows(2, unseen=False)["square, 20°"]
     scenes = {"square": replace(square, duration=4 * square.frame_dt)}
     tried = [own(2.0), own(5.0)]
-    known = measured(2, errors_of(scenes, tried, 10.0, (0, 1), RunStore(tmp_path / "keep")))
+    measurements = measured(2, errors_of(scenes, tried, 10.0, (0, 1), RunStore(tmp_path / "keep")))
     path = tmp_path / "resolution.toml"
-    path.write_text(toml(known))
-    assert from_mapping(Measurements, read_toml(path)).measured == tuple(known)
-    assert [each.resolution for each in known] == tried
-    assert known[0].promised >= known[1].promised > 0.0
-    assert 0.0 < known[1].thickness < 0.5
-    assert "of its largest" in str(resolved(COLUMN, 1.05 * known[1].promised, known))
-    assert resolved(COLUMN, 1.05 * known[1].promised, known).cells == pytest.approx(5.0)
+    path.write_text(toml(measurements))
+    assert from_mapping(Measurements, read_toml(path)).measured == tuple(measurements)
+    assert [measurement.resolution for measurement in measurements] == tried
+    assert measurements[0].promised >= measurements[1].promised > 0.0
+    assert 0.0 < measurements[1].thickness < 0.5
+    assert "of its largest" in str(resolved(COLUMN, 1.05 * measurements[1].promised, measurements))
+    assert resolved(COLUMN, 1.05 * measurements[1].promised, measurements).cells == pytest.approx(5.0)

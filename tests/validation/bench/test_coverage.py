@@ -26,23 +26,25 @@ def mpm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeMpm:
 
 def test_truths_are_drawn_from_the_prior(mpm: FakeMpm) -> None:
     drawn_twins = [drawn(FAMILY, number) for number in range(200)]
-    truths = [each.target.truth["friction_deg"] for each in drawn_twins]
+    truths = [problem.target.truth["friction_deg"] for problem in drawn_twins]
     assert min(truths) < 14.0
     assert max(truths) > 50.0
     assert np.mean(truths) == pytest.approx(32.0, abs=2.5)
     assert drawn_twins[3].observations[0].noise == 0.01
-    assert len({each.scene.seed for each in drawn_twins} | {each.target.seed for each in drawn_twins}) == 400
+    assert (
+        len({problem.scene.seed for problem in drawn_twins} | {problem.target.seed for problem in drawn_twins}) == 400
+    )
 
 
 def test_where_a_twin_has_its_truth(mpm: FakeMpm) -> None:
-    found = solve_twin(FAMILY, 0)
-    assert 0.0 <= found.denser <= 1.0
-    assert 0.0 <= found.below["friction_deg"] <= 1.0
-    assert found.inside in (0, 1)
+    solved = solve_twin(FAMILY, 0)
+    assert 0.0 <= solved.denser <= 1.0
+    assert 0.0 <= solved.below["friction_deg"] <= 1.0
+    assert solved.inside in (0, 1)
     made = len(mpm.scenes)
     assert made > 5
     again = solve_twin(FAMILY, 0)
-    assert replace(again, seconds=found.seconds) == found
+    assert replace(again, seconds=solved.seconds) == solved
     assert len(mpm.scenes) == 2 * made
 
 
@@ -53,7 +55,7 @@ def twin(denser: float, below: float) -> Twin:
 
 def test_even_ranks_pass_and_uneven_ones_are_named() -> None:
     even = [twin((number + 0.5) / 40.0, (number + 0.5) / 40.0) for number in range(40)]
-    narrow = [twin(0.7 + 0.3 * each.denser, float(each.below["friction_deg"] > 0.5)) for each in even]
+    narrow = [twin(0.7 + 0.3 * solved.denser, float(solved.below["friction_deg"] > 0.5)) for solved in even]
     assert held(even, 0.95) == pytest.approx(0.95)
     assert min(uniformity(even), ranks(even)) > 0.9
     assert max(uniformity(narrow), ranks(narrow)) < 1e-4

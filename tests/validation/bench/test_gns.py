@@ -80,7 +80,8 @@ def test_the_price_is_that_of_the_cheapest_mpm_with_no_larger_error() -> None:
     assert "1 of 1 fronts" in bands
     (scene, other), points = model().compared, model().points
     finer = replace(
-        model(), compared=[replace(each, by=each.by | {"tiny": scene.by[AGAIN]}) for each in (scene, other)]
+        model(),
+        compared=[replace(comparison, by=comparison.by | {"tiny": scene.by[AGAIN]}) for comparison in (scene, other)],
     )
     assert "no coarse run" in conclusion([finer], {})[1]
     assert points["tiny"] == (0.5, pytest.approx(0.05))

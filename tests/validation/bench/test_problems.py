@@ -17,7 +17,7 @@ from validation.bench.problems import Criteria, Outcome
 def result(name: str, off: float = 0.002) -> dict[str, Any]:
     """What a loop might have left of a shipped problem."""
     problem = read_problem(name)
-    truth = {each.name: each.start + 0.1 * (each.bounds[1] - each.start) for each in problem.numbers}
+    truth = {number.name: number.start + 0.1 * (number.bounds[1] - number.start) for number in problem.numbers}
     unknowns = {name: value * (1.0 + off) for name, value in truth.items()}
     return {
         "verdict": "confirmed",
@@ -42,11 +42,11 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         name, out = arguments[3], Path(arguments[5])
         called.append(name)
         out.mkdir(parents=True, exist_ok=True)
-        found = result(name)
+        content = result(name)
         if arguments[7] == "gns":
-            own = {"unknowns": found["unknowns"], "mpm_error": {"misfit": 5e-4, "front_pct": 4.2}}
-            found |= {"surrogate": {"asked": True, **own}, "mpm_runs": [{}]}
-        (out / "result.json").write_text(json.dumps(found))
+            prediction = {"unknowns": content["unknowns"], "mpm_error": {"misfit": 5e-4, "front_pct": 4.2}}
+            content |= {"surrogate": {"asked": True, **prediction}, "mpm_runs": [{}]}
+        (out / "result.json").write_text(json.dumps(content))
         (out / "unknowns.png").write_bytes(b"\x89PNG")
         return subprocess.CompletedProcess(arguments, 0)
 
@@ -91,23 +91,23 @@ def test_what_could_not_be_run_fails(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_every_criterion_can_be_missed() -> None:
-    problem, found = read_problem("friction-tall-42"), result("friction-tall-42", off=0.02)
+    problem, base = read_problem("friction-tall-42"), result("friction-tall-42", off=0.02)
     criteria = Criteria(front_error_pct=0.3, unknown_error_pct=1.0, loss=1e-4, inside=True)
-    assert len(Outcome(problem=problem, criteria=criteria, result=found).missed) == 2
-    worse = found | {"verdict": "unreachable", "error_pct": {"front": 0.4}, "loss": {"mpm": 1e-3}}
+    assert len(Outcome(problem=problem, criteria=criteria, result=base).missed) == 2
+    worse = base | {"verdict": "unreachable", "error_pct": {"front": 0.4}, "loss": {"mpm": 1e-3}}
     assert len(Outcome(problem=problem, criteria=criteria, result=worse).missed) == 5
     good = result("friction-tall-42")
     assert Outcome(problem=problem, criteria=criteria, result=good).missed == []
     # An interval beyond the criterion promises less than it.
-    wide = found | {"certainty": {"friction_deg": 5.0}, "interval": {"friction_deg": [27.0, 47.0]}}
+    wide = base | {"certainty": {"friction_deg": 5.0}, "interval": {"friction_deg": [27.0, 47.0]}}
     assert Outcome(problem=problem, criteria=criteria, result=wide).missed == []
     # A second answer that holds the true value counts, where the first does not.
-    low = {name: 0.9 * value for name, value in found["truth"].items()}
-    high = {name: 1.1 * value for name, value in found["truth"].items()}
-    second = {"unknowns": found["truth"], "interval": {name: [low[name], high[name]] for name in low}}
+    low = {name: 0.9 * value for name, value in base["truth"].items()}
+    high = {name: 1.1 * value for name, value in base["truth"].items()}
+    second = {"unknowns": base["truth"], "interval": {name: [low[name], high[name]] for name in low}}
     lax = Criteria(inside=True)
-    assert len(Outcome(problem=problem, criteria=lax, result=found).missed) == 1
-    both = found | {"answers": [{"unknowns": found["unknowns"], "interval": found["interval"]}, second]}
+    assert len(Outcome(problem=problem, criteria=lax, result=base).missed) == 1
+    both = base | {"answers": [{"unknowns": base["unknowns"], "interval": base["interval"]}, second]}
     assert Outcome(problem=problem, criteria=lax, result=both).missed == []
 
 

@@ -149,11 +149,11 @@ def test_a_verdict_says_what_is_wrong() -> None:
 def test_fronts_over_stiffness_and_step(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "RELEASED", {2: (MeasuredFlow(aspect=1.0, friction_deg=30.0, box=3.0, duration=0.5), 4)})
     monkeypatch.setattr(bench, "STIFFNESSES", (1.0,))
-    found = fronts()
-    assert found.keys() == {(2, 1.0, 0.9), (2, 1.0, 0.3)}
-    assert all(0.09 < x < 0.15 for by in found.values() for x in by.values())
-    known = {(2, 1.0, 0.9): {"AFLIP": 0.98, "APIC": 0.8}, (2, 1.0, 0.3): {"AFLIP": 1.02, "APIC": 1.2}}
-    assert front_changes(known) == "4 % in 2D (with APIC by 40 %)"
+    computed = fronts()
+    assert computed.keys() == {(2, 1.0, 0.9), (2, 1.0, 0.3)}
+    assert all(0.09 < x < 0.15 for by in computed.values() for x in by.values())
+    example = {(2, 1.0, 0.9): {"AFLIP": 0.98, "APIC": 0.8}, (2, 1.0, 0.3): {"AFLIP": 1.02, "APIC": 1.2}}
+    assert front_changes(example) == "4 % in 2D (with APIC by 40 %)"
 
 
 def test_a_short_row_holds() -> None:

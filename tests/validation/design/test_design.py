@@ -40,8 +40,13 @@ SCATTER, PRICES = 0.005, {"baffles[0].height": 1.0, "baffles[1].height": 2.0}
 
 def problem_of(**changes: object) -> DesignProblem:
     """Two heights under an uncertain angle; the front is to stay below 0.7 m in 95 % of the flows."""
-    own = {"variables": HEIGHTS, "uncertain": (FRICTION,), "limit": Limit(quantity="front", below=0.7), "cost": PRICES}
-    return DesignProblem(**{"name": "known", "scene": SCENE, **own, **changes})
+    defaults = {
+        "variables": HEIGHTS,
+        "uncertain": (FRICTION,),
+        "limit": Limit(quantity="front", below=0.7),
+        "cost": PRICES,
+    }
+    return DesignProblem(**{"name": "known", "scene": SCENE, **defaults, **changes})
 
 
 class Known:
@@ -59,14 +64,14 @@ class Known:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_cheapest_design_of_a_known_response_is_found(seed: int) -> None:
     problem = problem_of(budget=Budget(runs=50, seed=seed))
-    found = designed(problem, Known(problem))
+    result = designed(problem, Known(problem))
     # Exactly: 0.9 - h_0 - 1.5 * 0.04 + z s = 0.7 with s^2 = (0.01 * 3)^2 + SCATTER^2, but for the cut at the bounds.
     exact = 0.14 + norm.ppf(problem.required) * np.hypot(0.03, SCATTER)
-    assert found.design["baffles[0].height"] == pytest.approx(exact, abs=0.008)
-    assert found.design["baffles[1].height"] == pytest.approx(0.04, abs=0.004)
-    assert found.verdict is Verdict.CONFIRMED
-    assert found.spent <= problem.runs
-    true = norm.cdf((found.design["baffles[0].height"] + 1.5 * found.design["baffles[1].height"] - 0.2) / 0.0304)
+    assert result.design["baffles[0].height"] == pytest.approx(exact, abs=0.008)
+    assert result.design["baffles[1].height"] == pytest.approx(0.04, abs=0.004)
+    assert result.verdict is Verdict.CONFIRMED
+    assert result.spent <= problem.runs
+    true = norm.cdf((result.design["baffles[0].height"] + 1.5 * result.design["baffles[1].height"] - 0.2) / 0.0304)
     assert true == pytest.approx(problem.required, abs=0.015)
 
 
@@ -77,35 +82,35 @@ def test_the_most_reliable_design_is_found_where_nothing_has_a_cost() -> None:
         height, angle = problem.box.at(points).T
         return np.asarray(0.65 + 5.0 * (height - 0.1) ** 2 - 0.01 * (angle - 30.0))
 
-    found = designed(problem, respond)
-    assert found.design["baffles[0].height"] == pytest.approx(0.1, abs=0.03)
-    assert found.reliability.expected == pytest.approx(norm.cdf(0.05 / 0.03), abs=0.02)
+    result = designed(problem, respond)
+    assert result.design["baffles[0].height"] == pytest.approx(0.1, abs=0.03)
+    assert result.reliability.expected == pytest.approx(norm.cdf(0.05 / 0.03), abs=0.02)
 
 
 def test_a_limit_that_no_design_keeps_is_unreachable() -> None:
     problem = problem_of(limit=Limit(quantity="front", below=0.3), budget=Budget(runs=40, checks=40))
-    found = designed(problem, Known(problem))
-    assert found.verdict is Verdict.UNREACHABLE
+    result = designed(problem, Known(problem))
+    assert result.verdict is Verdict.UNREACHABLE
     # What the best design gives: 0.9 - 0.24 - 1.5 * 0.24 = 0.3 at the mean angle.
-    assert min(found.design.values()) > 0.22
-    assert found.exceeding == pytest.approx(20, abs=12)
-    low, high = found.interval
-    assert low < 1.0 - found.exceeding / 40 < high
+    assert min(result.design.values()) > 0.22
+    assert result.exceeding == pytest.approx(20, abs=12)
+    low, high = result.interval
+    assert low < 1.0 - result.exceeding / 40 < high
 
 
 def test_flows_of_a_failed_check_inform_a_second_design() -> None:
     """The first check's flows go further than those before: only then is the response known."""
     problem = problem_of(budget=Budget(runs=40, checks=60))
-    known, checks = Known(problem), list[int]()
+    response, checks = Known(problem), list[int]()
 
     def respond(points: Matrix, first: int) -> Row:
         checks.extend([first] if len(points) == 60 else [])
-        return known(points, first) + (0.05 if len(points) == 60 else 0.0)
+        return response(points, first) + (0.05 if len(points) == 60 else 0.0)
 
-    found = designed(problem, respond)
+    result = designed(problem, respond)
     assert len(checks) == 2
-    assert found.spent <= problem.runs
-    assert len(found.search.runs) == found.spent + 120
+    assert result.spent <= problem.runs
+    assert len(result.search.runs) == result.spent + 120
 
 
 def test_draws_are_those_of_the_prior() -> None:
@@ -154,7 +159,7 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
     np.savez(file.parent / "posterior.npz", names=["friction_deg", "cohesion"], samples=samples, weights=weights)
     file.write_text('posterior = "posterior.npz"\n' + PROBLEM)
     problem = read_design(file)
-    assert [each.name for each in problem.uncertain] == ["floor_friction", "friction_deg", "cohesion"]
+    assert [parameter.name for parameter in problem.uncertain] == ["floor_friction", "friction_deg", "cohesion"]
     drawn = problem.box.lower[1:] + problem.box.range[1:] * problem.draws(200, np.random.default_rng(0))
     assert drawn[:, 1].min() >= 30.0
     assert np.corrcoef(drawn[:, 1], drawn[:, 2])[0, 1] == pytest.approx(-1.0)
@@ -202,7 +207,7 @@ def test_a_force_is_that_of_the_solid() -> None:
     flow = simulate(SCENE)
     limits = (("baffles[0]", 0.0), ("baffles[1]", 0.0), (None, 0.0), (None, 0.05))
     kept = [Limit(quantity="impact_force", below=1.0, solid=name, window=time).kept(flow) for name, time in limits]
-    first, second, largest, smoothed = (each.summary["impact_force"] for each in kept)
+    first, second, largest, smoothed = (record.summary["impact_force"] for record in kept)
     assert 0.0 <= second < first == largest
     assert largest == forces_of(flow).peaks[0][0]
     assert 0.0 < smoothed < largest
@@ -215,21 +220,21 @@ def test_a_design_for_an_impact_force_and_again_from_its_runs(file: Path) -> Non
     file.write_text(PROBLEM.replace('quantity = "front"\nbelow = 0.7', force))
     out = file.parent / "out"
     main(str(file), out=out)
-    found = json.loads((out / "design.json").read_text())
+    written = json.loads((out / "design.json").read_text())
     # A low barrier lets through what strikes the second one, a higher one than needed costs more.
-    assert 0.05 < found["design"]["baffles[0].height"] < 0.2
-    assert found["probability"]["mpm"] >= 0.95
+    assert 0.05 < written["design"]["baffles[0].height"] < 0.2
+    assert written["probability"]["mpm"] >= 0.95
     assert {"report.md", "design.png", "mpm"} <= {path.name for path in out.iterdir()}
     again = find_design(file, out, simulate=lambda scenes, record: pytest.fail("no flow is run again"))
-    assert again.design == pytest.approx(found["design"])
+    assert again.design == pytest.approx(written["design"])
     assert [len(np.load(path)["positions"]) for path in (out / "mpm").rglob("*.npz")] == [1] * (len(again.search.runs))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_race_finds_the_cheapest_design_of_a_known_response(seed: int) -> None:
     problem = problem_of(budget=Budget(checks=40, seed=seed))
-    known = Known(problem)
-    race = Race(problem, lambda points: known(points, 0))
+    response = Known(problem)
+    race = Race(problem, lambda points: response(points, 0))
     race.run(10_000)
     best = race.problem.named(race.best.design)
     strength = best["baffles[0].height"] + 1.5 * best["baffles[1].height"]
@@ -242,22 +247,22 @@ def test_the_race_finds_the_cheapest_design_of_a_known_response(seed: int) -> No
 def test_errors_of_the_predictor_are_those_of_the_design() -> None:
     """One that is 0.06 m too low and scatters is found out by the first runs of the MPM."""
     problem = problem_of(budget=Budget(checks=40, pairs=12, predictions=4000))
-    known, rng = Known(problem), np.random.default_rng(0)
+    response, rng = Known(problem), np.random.default_rng(0)
 
     def predict(points: Matrix) -> Row:
-        return known(points, 0) - 0.06 + rng.normal(scale=0.01, size=len(points))
+        return response(points, 0) - 0.06 + rng.normal(scale=0.01, size=len(points))
 
-    found = raced(problem, predict, known)
-    assert found.verdict is Verdict.CONFIRMED
-    assert found.race.errors.mean() == pytest.approx(0.06, abs=0.015)
-    assert found.spent in (52, 92)
-    assert found.design["baffles[0].height"] + 1.5 * found.design["baffles[1].height"] > 0.23
+    result = raced(problem, predict, response)
+    assert result.verdict is Verdict.CONFIRMED
+    assert result.race.errors.mean() == pytest.approx(0.06, abs=0.015)
+    assert result.spent in (52, 92)
+    assert result.design["baffles[0].height"] + 1.5 * result.design["baffles[1].height"] > 0.23
 
 
 def test_batches_and_processes_predict_what_single_flows_do() -> None:
     column = read_scene("column-short-21")
     scenes = [column, replace(column, material=replace(column.material, friction_deg=35.0))]
-    single = [predicted("front", each) for each in scenes]
+    single = [predicted("front", scene) for scene in scenes]
     assert single[0] > single[1] + 0.05
     assert in_batches("cpu", "front", scenes) == pytest.approx(single, abs=1.0e-3)
     assert on_processors("front", scenes) == pytest.approx(single, abs=1.0e-3)
@@ -265,8 +270,8 @@ def test_batches_and_processes_predict_what_single_flows_do() -> None:
 
 def test_no_design_that_is_predicted_keeps_the_limit() -> None:
     problem = problem_of(limit=Limit(quantity="front", below=0.2), budget=Budget(checks=20, predictions=2000))
-    known = Known(problem)
-    assert raced(problem, lambda points: known(points, 0), known).verdict is Verdict.UNREACHABLE
+    response = Known(problem)
+    assert raced(problem, lambda points: response(points, 0), response).verdict is Verdict.UNREACHABLE
 
 
 @pytest.mark.slow
@@ -274,10 +279,10 @@ def test_a_design_by_the_mpm_on_larger_cells(tmp_path: Path) -> None:
     problem = problem_of(
         surrogate="coarse", limit=Limit(quantity="front", below=0.75), budget=Budget(checks=20, predictions=1000)
     )
-    found = find_design(problem, tmp_path)
+    result = find_design(problem, tmp_path)
     written = json.loads((tmp_path / "design.json").read_text())
     assert written["predictions"] >= 1000
     assert written["runs"] in (28, 48)
     assert len(written["pairs"]["mpm"]) == len(written["pairs"]["predicted"])
-    assert found.design.keys() == written["design"].keys()
+    assert result.design.keys() == written["design"].keys()
     assert "predictions" in (tmp_path / "report.md").read_text()

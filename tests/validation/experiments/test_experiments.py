@@ -67,14 +67,14 @@ def front_of(friction_deg: float) -> float:
 
 def deposits(runs: Sequence[Run]) -> list[Trajectory]:
     """Blocks whose front is `front_of` their angle; on cells of 20 mm 2 % less."""
-    found = []
-    for scene in [each.scene for each in runs]:
+    flows = []
+    for scene in [run.scene for run in runs]:
         factor = 0.98 if scene.domain.cell > 0.015 else 1.0
         # Evenly spaced from 0: the quantile at a share q is at q times the length.
         length = factor * front_of(scene.material.friction_deg) / 0.995
         x = length * (np.arange(PARTICLES) + 0.5) / PARTICLES
-        found.append(flow_of(scene, np.stack([x, 0.05 * np.ones(PARTICLES)], axis=1)[None]))
-    return found
+        flows.append(flow_of(scene, np.stack([x, 0.05 * np.ones(PARTICLES)], axis=1)[None]))
+    return flows
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def shelf(tmp_path: Path) -> Path:
     return tmp_path / "shelf"
 
 
-@pytest.mark.parametrize("experiment", SHIPPED, ids=lambda each: each.name)
+@pytest.mark.parametrize("experiment", SHIPPED, ids=lambda experiment: experiment.name)
 def test_scenes_are_undamped_and_hold_what_was_measured(experiment: Experiment) -> None:
     for case in experiment.cases:
         coarse, fine = (experiment.scene(case, number, PLAUSIBLE) for number in (0, 1))
@@ -125,15 +125,15 @@ def test_a_wrong_experiment_is_refused_by_file_and_key(shelf: Path, old: str, ne
     path = shelf / "wedge" / "experiment.toml"
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new, 1))
-    found = refused(read_experiment, path.parent)
-    assert found.where == str(path)
-    assert key in found.key
+    error = refused(read_experiment, path.parent)
+    assert error.where == str(path)
+    assert key in error.key
 
 
 def test_forward_and_backward_of_a_formula(shelf: Path) -> None:
     (experiment,) = read_experiments(shelf)
-    ((score, other),), found = compute(experiment, experiment.cases[0], deposits)
-    assert found is not None
+    ((score, other),), inferred = compute(experiment, experiment.cases[0], deposits)
+    assert inferred is not None
     assert score.angle == "25.0° (avalanche)"
     assert (score.coarse, score.fine) == pytest.approx((0.98 * 0.5, 0.5), abs=1e-5)
     assert score.error == pytest.approx(-4.0, abs=1e-3)
@@ -141,10 +141,10 @@ def test_forward_and_backward_of_a_formula(shelf: Path) -> None:
     assert other.angle == "20.0° (repose, μ(I))"
     assert other.error == pytest.approx((0.98 * 0.55 - 0.52) / 0.005, abs=1e-3)
     # 20 mm further than at 25 degrees: 2 degrees less, by the slope of the coarse cells; twice 5 mm are a degree.
-    assert found.deg == pytest.approx(25.0 - 0.02 / 0.0098, abs=1e-3)
-    assert found.half_width_deg == pytest.approx(2.0 * 0.005 / 0.0098, rel=1e-3)
-    assert found.difference_deg == pytest.approx(-2.04, abs=0.01)
-    assert not found.agrees
+    assert inferred.deg == pytest.approx(25.0 - 0.02 / 0.0098, abs=1e-3)
+    assert inferred.half_width_deg == pytest.approx(2.0 * 0.005 / 0.0098, rel=1e-3)
+    assert inferred.difference_deg == pytest.approx(-2.04, abs=0.01)
+    assert not inferred.agrees
 
 
 @pytest.mark.parametrize("target", [0.36, 0.45, 0.6])
@@ -204,14 +204,14 @@ def test_height_front_and_profile_of_a_block() -> None:
 
 def sliding(runs: Sequence[Run]) -> list[Trajectory]:
     """Blocks a tenth of a metre thick that slide at 1 m/s, on coarse cells at half of it."""
-    found = []
-    for scene in [each.scene for each in runs]:
+    flows = []
+    for scene in [run.scene for run in runs]:
         time = np.arange(scene.frames) * scene.frame_dt
         speed = 1.0 if scene.domain.cell < 0.015 else 0.5
         moved = np.zeros((len(time), 1, 2))
         moved[:, 0, 0] = speed * time
-        found.append(flow_of(scene, AT_START + moved))
-    return found
+        flows.append(flow_of(scene, AT_START + moved))
+    return flows
 
 
 def test_a_prediction_says_when_and_how_thick_a_flow_passes(shelf: Path, tmp_path: Path) -> None:

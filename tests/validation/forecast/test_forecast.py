@@ -69,15 +69,15 @@ def test_an_interval_holds_further_flows_as_often_as_it_says() -> None:
     samples, held = rng.normal(MEAN, DEVIATION, size=(2000, 1)), {"interval": 0, "half": 0}
     for twin in range(80):
         scene = replace(coarse, seed=twin)
-        found = predicted(scene, ["friction_deg"], samples, by(flows), draws=40)
+        forecast = predicted(scene, ["friction_deg"], samples, by(flows), draws=40)
         truth = replace(scene.with_friction_deg(float(rng.choice(samples[:, 0]))), seed=int(rng.integers(2**31)))
         x = float(flows.flow(truth).positions[-1, 0, 0])
         # The error of the cells is none of this flow's.
-        values = np.sort(found.numbers["front"])
+        values = np.sort(forecast.numbers["front"])
         for key, level in (("interval", 0.95), ("half", 0.5)):
             low, high = np.quantile(values, [0.5 - 0.5 * level, 0.5 + 0.5 * level], method="weibull")
             held[key] += low <= x <= high
-        assert found.cells["front"] == pytest.approx(0.06, abs=4.0 * SCATTER)
+        assert forecast.cells["front"] == pytest.approx(0.06, abs=4.0 * SCATTER)
     assert held["interval"] >= 70
     assert 27 <= held["half"] <= 53
 
@@ -85,20 +85,20 @@ def test_an_interval_holds_further_flows_as_often_as_it_says() -> None:
 def test_the_error_of_the_cells_and_of_the_model_widen_an_interval() -> None:
     """Normal errors of posterior, scatter, cells and model, whose variances add."""
     samples = np.random.default_rng(0).normal(MEAN, DEVIATION, size=(4000, 1))
-    found = predicted(SCENE, ["friction_deg"], samples, by(Slabs()), draws=1000, model_error=0.05)
-    spread = np.sqrt((0.01 * DEVIATION) ** 2 + SCATTER**2 + found.cells["front"] ** 2 + (0.05 * (0.6 - 0.2)) ** 2)
-    low, high = found.as_json()["numbers"]["front"]["interval"]
+    forecast = predicted(SCENE, ["friction_deg"], samples, by(Slabs()), draws=1000, model_error=0.05)
+    spread = np.sqrt((0.01 * DEVIATION) ** 2 + SCATTER**2 + forecast.cells["front"] ** 2 + (0.05 * (0.6 - 0.2)) ** 2)
+    low, high = forecast.as_json()["numbers"]["front"]["interval"]
     assert high - low == pytest.approx(2.0 * norm.ppf(0.975) * spread, rel=0.1)
-    assert found.as_json()["numbers"]["front"]["median"] == pytest.approx(0.6, abs=0.01)
+    assert forecast.as_json()["numbers"]["front"]["median"] == pytest.approx(0.6, abs=0.01)
 
 
 def test_files_and_what_a_scene_has_not(tmp_path: Path) -> None:
     """The same command again makes no run; an unknown that the scene lacks, and a doubtful answer, are said."""
     result, flows = posterior(tmp_path / "loop", ("baffles[0].x", "friction_deg"), "ambiguous"), Slabs()
     for _ in range(2):
-        found = forecast_scene(result, SCENE, tmp_path / "out", draws=10, simulate=flows)
+        forecast = forecast_scene(result, SCENE, tmp_path / "out", draws=10, simulate=flows)
     assert flows.runs == 14
-    assert found.names == ("friction_deg",)
+    assert forecast.names == ("friction_deg",)
     said = json.loads((tmp_path / "out" / "forecast.json").read_text())
     assert "baffles[0].x is no part of the forecast" in said["remarks"][0]
     assert "ambiguous" in said["remarks"][1]
@@ -112,8 +112,8 @@ def test_maps_of_probability(tmp_path: Path) -> None:
     flows, names = Slabs(scatter=0.0), ["friction_deg"]
     scene = replace(room(Mass(lower=(0.0, 0.0, 0.3), size=(0.2, 0.1, 0.2))), floor_friction=0.4)
     samples = np.repeat([20.0, 40.0], 500)[:, None]
-    found = predicted(scene, names, samples, by(flows), draws=10, threshold=1.0e-4)
-    thickness = found.covered["thickness"]
+    forecast = predicted(scene, names, samples, by(flows), draws=10, threshold=1.0e-4)
+    thickness = forecast.covered["thickness"]
     assert thickness[(np.array([0.5, 0.7]) / 0.04).astype(int), 10] == pytest.approx(0.5)
     assert thickness[5, 10] == 0.0
     forecast_scene(posterior(tmp_path / "loop"), scene, tmp_path / "out", draws=4, simulate=flows)
@@ -137,8 +137,8 @@ def test_the_solid_of_an_unknown_is_found_by_its_name_or_its_kind() -> None:
     ground = Solid(kind="terrain", points=((0.0, 0.0), (1.0, 0.0)))
     scene = replace(SCENE, solids=(ground, wall, replace(wall, name="low", lower=(0.6, 0.0))))
     before = [("wall", "box"), ("bed", "terrain"), (None, "box"), (None, "mesh")]
-    found = [in_scene(f"solids[{index}].friction", before, scene) for index in range(2)]
-    assert found == ["solids[1].friction", "solids[0].friction"]
+    renamed = [in_scene(f"solids[{index}].friction", before, scene) for index in range(2)]
+    assert renamed == ["solids[1].friction", "solids[0].friction"]
     assert in_scene("solids[2].friction", before, scene) == "solids[2].friction"  # one of two boxes, in its place
     refused(in_scene, "solids[3].friction", before, scene, said="expected a mesh in the scene, as solids[3]")
     for name in ("friction_deg", "solids[9].friction"):
@@ -163,7 +163,7 @@ def test_mistakes_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 @pytest.mark.slow
 def test_forces_on_a_barrier_by_the_real_mpm(tmp_path: Path) -> None:
-    found = forecast_scene(posterior(tmp_path / "loop"), "baffles-2", draws=2)
-    assert min(found.numbers["force baffles[0]"]) > 0.0
-    assert found.covered["depth"].max() == 1.0
-    assert (found.covered["depth"] >= found.covered["thickness"]).all()
+    forecast = forecast_scene(posterior(tmp_path / "loop"), "baffles-2", draws=2)
+    assert min(forecast.numbers["force baffles[0]"]) > 0.0
+    assert forecast.covered["depth"].max() == 1.0
+    assert (forecast.covered["depth"] >= forecast.covered["thickness"]).all()

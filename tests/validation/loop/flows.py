@@ -140,12 +140,12 @@ class Formula:
 
     def x(self, angle: Tensor) -> Tensor:
         """Of the particles [m], shape [N]."""
-        found: Tensor = length(angle) * torch.from_numpy(SHAPE)
-        return found
+        places: Tensor = length(angle) * torch.from_numpy(SHAPE)
+        return places
 
     def predict(self, parameters: Tensor, /) -> Tensor:
         """Shape [S, m]."""
-        return torch.stack([self.observed(self.factor * self.x(each[0])) for each in parameters])
+        return torch.stack([self.observed(self.factor * self.x(point[0])) for point in parameters])
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """Shape [m] each."""
@@ -182,14 +182,14 @@ class LayersFormula(Formula):
     def predict(self, parameters: Tensor, /) -> Tensor:
         x0, push = torch.from_numpy(self.mpm.x0), torch.from_numpy(self.mpm.push)
         moves = parameters + self.mpm.bend * parameters**2
-        return torch.stack([self.observed(x0 + self.factor * push @ each) for each in moves])
+        return torch.stack([self.observed(x0 + self.factor * push @ move) for move in moves])
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
         """The change by larger displacements, and of each particle by itself, shape [1 + m, m]."""
-        (own,) = self.predict(torch.from_numpy(parameters)[None]).numpy()
+        (predicted,) = self.predict(torch.from_numpy(parameters)[None]).numpy()
         (rest,) = self.predict(torch.zeros(1, len(parameters), dtype=torch.float64)).numpy()
-        alone = 0.5 * self.band / 1.96 * np.ptp(own) * len(own) ** 0.25
-        return np.concatenate([self.band / 1.96 * (own - rest)[None], alone * np.eye(len(own))])
+        alone = 0.5 * self.band / 1.96 * np.ptp(predicted) * len(predicted) ** 0.25
+        return np.concatenate([self.band / 1.96 * (predicted - rest)[None], alone * np.eye(len(predicted))])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,8 +210,8 @@ class Case:
         return replace(self, problem=asked, surrogate=surrogate)
 
     def solve(self, out: Path) -> Result:
-        found = self.surrogate, "it was not trained on it"
-        with mock.patch.object(surrogate, "learned", return_value=found):
+        learned = self.surrogate, "it was not trained on it"
+        with mock.patch.object(surrogate, "learned", return_value=learned):
             return run(self.task(out))
 
 
@@ -229,14 +229,14 @@ def wedge(
     body, sand = Mass(lower=(0.0, 0.0), size=(0.3, 0.2)), Material(friction_deg=33.3)
     scene = scene_of(body, size=(1.2, 0.4), cell=0.01, material=sand)
     twin = TargetSettings(twin=True, seed=seed, truth={"friction_deg": truth})
-    known = {"value", "csv"} & measured.keys()
+    stated = {"value", "csv"} & measured.keys()
     problem = Problem(
         name="wedge",
         folder=folder,
         scene=scene,
         parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
         observations=(KINDS[kind](**measured),),
-        target=TargetSettings() if known else twin,
+        target=TargetSettings() if stated else twin,
     )
     mpm = mpm or FakeMpm(scatter=scatter)
     read = read_target(problem, mpm.run)

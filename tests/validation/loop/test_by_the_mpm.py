@@ -66,7 +66,7 @@ def rows() -> dict[str, np.ndarray]:
     x = np.linspace(0.0, measures.runout(deposit), 25)
     near = [deposit[np.abs(deposit[:, 0] - station) < 0.01, 1] for station in x]
     noise = 1.0 + 0.03 * np.random.default_rng(1).standard_normal((2, 25))
-    surface = noise[1] * np.array([each.max() for each in near])
+    surface = noise[1] * np.array([strip.max() for strip in near])
     return {"x": x, "equivalent": noise[0] * np.interp(x, stations, heights), "surface": surface}
 
 

@@ -44,14 +44,14 @@ def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, 
     result = case.led(Formula(case.target.observation, factor)).solve(tmp_path / "out")
     assert result.verdict is Verdict.CONFIRMED
     assert len(result.mpm_runs) <= 10
-    own, width = (result.surrogate[key]["friction_deg"] for key in ("unknowns", "half_widths"))
+    predicted, width = (result.surrogate[key]["friction_deg"] for key in ("unknowns", "half_widths"))
     # Its own answer is off by its error, 16 mm a degree, and by no more than its band.
-    assert own - 24.0 == pytest.approx((factor - 1.0) * length(24.0) / 0.0164, abs=0.5)
-    assert abs(own - 24.0) < width < 4.0
+    assert predicted - 24.0 == pytest.approx((factor - 1.0) * length(24.0) / 0.0164, abs=0.5)
+    assert abs(predicted - 24.0) < width < 4.0
     assert abs(result.unknowns["friction_deg"] - 24.0) < 2.0 * result.certainty["friction_deg"] < 1.5
     assert result.mpm_runs[0].purpose is Purpose.CHECK
     # By two runs there: that of a flow without scatter.
-    there = FakeMpm().run(case.problem.scene_at(np.array([own]), 0))
+    there = FakeMpm().run(case.problem.scene_at(np.array([predicted]), 0))
     misfit = case.target.misfit(case.target.observation.observe(there))
     assert result.surrogate["mpm_error"]["misfit"] == pytest.approx(misfit, rel=0.4, abs=3e-5)
 
@@ -81,8 +81,8 @@ def test_each_of_two_answers_is_checked(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=22.0, mpm=Folded(scatter=0.002))
     result = case.led(FoldedFormula(case.target.observation, 1.02)).solve(tmp_path)
     assert result.verdict is Verdict.AMBIGUOUS
-    found = sorted(float(answer.parameters[0]) for answer in result.answers)
-    assert found == pytest.approx([22.0, 38.0], abs=1.0)
+    angles = sorted(float(answer.parameters[0]) for answer in result.answers)
+    assert angles == pytest.approx([22.0, 38.0], abs=1.0)
     assert len(result.surrogate["answers"]) == 2
     assert len(result.mpm_runs) <= 24
 
@@ -91,16 +91,16 @@ def test_of_two_answers_that_the_mpm_refuses_the_nearer_stands(tmp_path: Path) -
     """A profile that rises towards the front fits nowhere."""
     case = wedge(tmp_path, kind="profile", scatter=0.002)
     misfit = replace(case, target=replace(case.target, values=case.target.values[::-1].copy()))
-    found = judged(begun(misfit.task(tmp_path).search()).informed())
+    judgement = judged(begun(misfit.task(tmp_path).search()).informed())
     for ratio, verdict, nearest in (
         (0.5, Verdict.UNCONFIRMED, "whole"),
         (2.0, Verdict.UNCONFIRMED, "led"),
         (2.0, Verdict.UNREACHABLE, "whole"),
     ):
-        (answer, *_), fit = found.answers, found.answers[0].fit
+        (answer, *_), fit = judgement.answers, judgement.answers[0].fit
         fit = replace(fit, ratio=ratio * fit.ratio)
-        whole = replace(found, answers=(replace(answer, fit=fit),), verdict=verdict)
-        assert (nearer(found.search, whole) is whole) == (nearest == "whole")
+        whole = replace(judgement, answers=(replace(answer, fit=fit),), verdict=verdict)
+        assert (nearer(judgement.search, whole) is whole) == (nearest == "whole")
 
 
 def test_an_answer_just_inside_a_bound(tmp_path: Path) -> None:
@@ -179,16 +179,16 @@ def task(case: Case, out: Path, surrogate: Surrogate) -> Task:
 def test_a_surrogate_is_asked_where_a_run_of_the_mpm_is_dear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case = wedge(tmp_path)
     monkeypatch.setattr(surrogate, "learned", lambda *_: (Formula(case.target.observation), ""))
-    auto, asked = (task(case, tmp_path, each) for each in (Surrogate.AUTO, Surrogate.GNS))
-    found, reason = choose(auto)
-    assert found is None
+    auto, asked = (task(case, tmp_path, kind) for kind in (Surrogate.AUTO, Surrogate.GNS))
+    chosen, reason = choose(auto)
+    assert chosen is None
     assert "less than 5 predictions" in reason
     assert choose(task(case, tmp_path, Surrogate.NONE))[1] == "the problem asks for none"
     assert choose(asked)[0] is not None
     # On a processor a million times slower.
     monkeypatch.setattr(gns, "SPEED", {2: 35.0})
-    found, reason = choose(auto)
-    assert found is not None
+    chosen, reason = choose(auto)
+    assert chosen is not None
     assert "a run of the MPM takes" in reason
     monkeypatch.setattr(surrogate, "learned", lambda *_: (None, "it was not trained on it"))
     refused(choose, asked, said="expected auto or none, it was not trained")
@@ -201,10 +201,10 @@ def test_runs_on_larger_cells_lead_to_few_on_those_of_the_scene(tmp_path: Path) 
     result = run(task(case, tmp_path, Surrogate.COARSE))
     assert result.verdict is Verdict.CONFIRMED
     # Cells of 20 mm shorten a deposit by 2 % more than those of 10 mm do: 1 degree.
-    own, corrected = result.surrogate["unknowns"]["friction_deg"], result.unknowns["friction_deg"]
-    assert 0.5 < 24.0 - own < 1.5
+    coarse, corrected = result.surrogate["unknowns"]["friction_deg"], result.unknowns["friction_deg"]
+    assert 0.5 < 24.0 - coarse < 1.5
     assert abs(corrected - 24.0) < 2.0 * result.certainty["friction_deg"] < 1.5
-    cells = [each.domain.cell for each in case.mpm.scenes]
+    cells = [scene.domain.cell for scene in case.mpm.scenes]
     assert cells.count(0.01) == len(result.mpm_runs) <= 6
     assert cells.count(0.02) == result.surrogate["predictions"]
     # Found again by a command that was cut short.

@@ -78,16 +78,16 @@ def grid(unknowns: int) -> tuple[list[Floats], Floats]:
 
 def quantiles(axes: Sequence[Floats], log_density: Floats) -> Floats:
     """The 2.5 %, 50 % and 97.5 % quantiles of each unknown by a density over a grid, shape [3, U]."""
-    weights, found = np.exp(log_density - log_density.max()), []
-    for own, axis in zip((weights.sum(axis=1), weights.sum(axis=0)), axes, strict=False):
-        found.append(np.interp((0.025, 0.5, 0.975), np.cumsum(own) / own.sum(), axis))
-    return np.stack(found, axis=1)
+    weights, columns = np.exp(log_density - log_density.max()), []
+    for marginal, axis in zip((weights.sum(axis=1), weights.sum(axis=0)), axes, strict=False):
+        columns.append(np.interp((0.025, 0.5, 0.975), np.cumsum(marginal) / marginal.sum(), axis))
+    return np.stack(columns, axis=1)
 
 
-def apart(found: Result, exact: Floats) -> float:
+def apart(result: Result, exact: Floats) -> float:
     """The largest error of an end of an interval or a median, over the width of the exact interval."""
-    low, high = found.answers[0].interval
-    return float(np.abs((np.stack([low, found.answer, high]) - exact) / (exact[2] - exact[0])).max())
+    low, high = result.answers[0].interval
+    return float(np.abs((np.stack([low, result.answer, high]) - exact) / (exact[2] - exact[0])).max())
 
 
 SLOW = [pytest.param(*each, marks=pytest.mark.slow) for each in ((0.03, 1), (0.05, 2), (0.15, 2))]
@@ -101,14 +101,14 @@ def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
     truth = moved(TIMES, np.array(SPEED), np.array(FRICTION))
     values, names = 0.3 + truth + off * (TIMES == 0.30), NAMES[:unknowns]
     problem = problem_of(tmp_path, values, names)
-    found = solved(problem, tmp_path)
-    fit, (axes, fronts) = found.answers[0].fit, grid(unknowns)
+    result = solved(problem, tmp_path)
+    fit, (axes, fronts) = result.answers[0].fit, grid(unknowns)
     squares = ((fronts - values) ** 2).sum(axis=-1) / NOISE**2
     birge = np.sqrt(squares.min() / (len(TIMES) - unknowns))
-    assert found.verdict is Verdict.UNCONFIRMED
+    assert result.verdict is Verdict.UNCONFIRMED
     assert fit.applied == pytest.approx(birge, rel=0.05)
-    assert apart(found, quantiles(axes, -0.5 * squares / birge**2)) < 0.07
-    assert found.answers[0].holds(np.array([SPEED, FRICTION][:unknowns])).all()
+    assert apart(result, quantiles(axes, -0.5 * squares / birge**2)) < 0.07
+    assert result.answers[0].holds(np.array([SPEED, FRICTION][:unknowns])).all()
     assert list(fit.outliers) == [4]
 
 
@@ -123,14 +123,14 @@ def test_errors_of_the_cells_hide_no_late_clock_and_no_outlier(
 ) -> None:
     """Cells err by more than four times the noise, but smoothly: a clock 35 ms late is a misfit all the same."""
     problem = problem_of(tmp_path, values, NAMES[:1])
-    found = solved(problem, tmp_path, partial(slide, cells=1.5))
-    fit = found.answers[0].fit
+    result = solved(problem, tmp_path, partial(slide, cells=1.5))
+    fit = result.answers[0].fit
     assert fit.cells > 4.0 * fit.noise
     assert list(fit.outliers) == outliers
     assert fit.inside is not bool(outliers)
     assert (fit.probability > 0.5) is fits
     assert (fit.applied == 1.0) is fits
-    assert found.answers[0].holds(np.array([SPEED])).all()
+    assert result.answers[0].holds(np.array([SPEED])).all()
     # The cell at which their errors are equal: the cells' falls with the cell, the work of a run as its cube in 2D.
     share = fit.cells / fit.noise
-    assert f"on cells of {0.02 / share:.2g} m ({share**3:.2g} times the work" in summary(found)
+    assert f"on cells of {0.02 / share:.2g} m ({share**3:.2g} times the work" in summary(result)

@@ -42,12 +42,12 @@ def test_an_outlier_of_robust_noise_moves_nothing(tmp_path: Path, unknowns: int,
     seen = replace(problem.observations[0], noise=Student(dof=DOF, deviation=NOISE))
     assert isinstance(seen, FrontSettings)
     problem = replace(problem, observations=(seen,))
-    found = solved(problem, tmp_path)
-    assert found.verdict is Verdict.CONFIRMED
-    assert found.answers[0].holds(truth).all()
+    result = solved(problem, tmp_path)
+    assert result.verdict is Verdict.CONFIRMED
+    assert result.answers[0].holds(truth).all()
     axes, fronts = grid(unknowns)
     students = -0.5 * (DOF + 1.0) * np.log1p(((fronts - values) / NOISE) ** 2 / DOF).sum(axis=-1)
-    assert apart(found, quantiles(axes, students)) < 0.2
+    assert apart(result, quantiles(axes, students)) < 0.2
 
 
 def test_a_report_lists_every_number_names_outliers_and_says_which_data_matter(tmp_path: Path) -> None:
@@ -57,17 +57,17 @@ def test_a_report_lists_every_number_names_outliers_and_says_which_data_matter(t
     seen = replace(problem.observations[0], noise=Student(dof=DOF, deviation=NOISE))
     poor = FrontSettings(name="glance", times=(0.5,), values=(float(values[-2]),), noise=10.0 * NOISE)
     problem = replace(problem, observations=(seen, poor))
-    found = solved(problem, tmp_path)
-    save(found, tmp_path / "out")
+    result = solved(problem, tmp_path)
+    save(result, tmp_path / "out")
     text = (tmp_path / "out" / "report.md").read_text()
     assert "front at time 0.3 s (+" in text
     assert text.count("| front  ") == 8 + 2  # of comparison and data that matter
     assert (tmp_path / "out" / "fit.png").stat().st_size > 10_000
-    fronts, _ = residuals(found)
+    fronts, _ = residuals(result)
     assert fronts.standardised[4] == pytest.approx(10.0, rel=0.1)
     assert np.abs(np.delete(fronts.standardised, 4)).max() < 1.0
     assert np.all(fronts.lower < 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION)))
-    widths = {name: each[NAMES[0]] for name, each in found.without.items()}
+    widths = {name: by_unknown[NAMES[0]] for name, by_unknown in result.without.items()}
     assert widths["glance"] == pytest.approx(widths["none"], rel=0.15)
     assert widths["front"] > 5.0 * widths["none"]
     # Of fronts that all move by the time t or more with the speed, the exact half-width of one number at 0.5 s.
@@ -84,14 +84,14 @@ def test_a_clock_that_starts_late_is_an_unknown(tmp_path: Path, late: float) -> 
     problem = problem_of(tmp_path, values, NAMES[:1])
     clock = Parameter(name="time_offset", initial=0.0, lower=-0.1, upper=0.1)
     problem = replace(problem, parameters=(*problem.parameters, clock))
-    found = solved(problem, tmp_path)
-    assert found.verdict is Verdict.CONFIRMED
-    assert found.answers[0].holds(np.array([SPEED, late])).all()
+    result = solved(problem, tmp_path)
+    assert result.verdict is Verdict.CONFIRMED
+    assert result.answers[0].holds(np.array([SPEED, late])).all()
     shares = (np.arange(600) + 0.5) / 600
     speed, offset = 0.5 + 1.7 * shares, -0.1 + 0.2 * shares
     times = np.maximum(TIMES + offset[:, None], 0.0)
     squares = (((0.3 + moved(times, speed[:, None, None], np.array(FRICTION)) - values) / NOISE) ** 2).sum(axis=-1)
-    assert apart(found, quantiles((speed, offset), -0.5 * squares)) < 0.25
+    assert apart(result, quantiles((speed, offset), -0.5 * squares)) < 0.25
 
 
 def test_a_twin_has_the_clock_of_its_truth_and_a_deposit_has_none(tmp_path: Path) -> None:

@@ -55,16 +55,16 @@ def test_deposits_share_the_runs_of_the_mpm(
 ) -> None:
     out = tmp_path / "series"
     rows = solve_series(problem, targets, out, model=adapted, simulate=mpm)
-    assert [each["deposit"] for each in rows] == list(TRUTHS)
-    for each, truth in zip(rows, TRUTHS.values(), strict=True):
-        low, high = each["friction_deg from"], each["friction_deg to"]
-        assert low < each["friction_deg"] < high
-        assert abs(each["friction_deg"] - truth) < high - low < 6.0
-        assert each["verdict"] == "confirmed"
-    assert len(mpm.scenes) == sum(each["MPM runs"] for each in rows) <= 3 * len(rows)
+    assert [row["deposit"] for row in rows] == list(TRUTHS)
+    for row, truth in zip(rows, TRUTHS.values(), strict=True):
+        low, high = row["friction_deg from"], row["friction_deg to"]
+        assert low < row["friction_deg"] < high
+        assert abs(row["friction_deg"] - truth) < high - low < 6.0
+        assert row["verdict"] == "confirmed"
+    assert len(mpm.scenes) == sum(row["MPM runs"] for row in rows) <= 3 * len(rows)
     assert len({scene.seed for scene in mpm.scenes}) == len(mpm.scenes)
     with (out / "series.csv").open() as file:
-        assert [each["deposit"] for each in csv.DictReader(file)] == list(TRUTHS)
+        assert [row["deposit"] for row in csv.DictReader(file)] == list(TRUTHS)
     # What is there is not done again.
     mpm.scenes.clear()
     (out / "third" / "result.json").unlink()

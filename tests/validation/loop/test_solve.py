@@ -44,7 +44,7 @@ def test_an_answer_that_moves_after_every_check_is_checked_twice(
     monkeypatch.setattr(verdict, "CLOSE", -1.0)
     result = wedge(tmp_path, scatter=0.002).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
-    assert [each.purpose for each in result.mpm_runs].count(Purpose.CHECK) == 2 * CONSTANTS.checks
+    assert [run.purpose for run in result.mpm_runs].count(Purpose.CHECK) == 2 * CONSTANTS.checks
 
 
 @pytest.mark.slow
@@ -63,13 +63,13 @@ def test_flows_that_scatter_more_elsewhere_do_not_widen_the_half_width(tmp_path:
     case = wedge(tmp_path, mpm=FakeMpm(scatter=0.002, uneven=30.0), truth=22.0, seed=seed, noise=0.002)
     # Twenty runs from 20 to 24 degrees, nine over the whole box.
     state = begun(case.task(tmp_path).search()).ran(np.linspace(0.2, 0.3, 20)[:, None]).informed()
-    whole, found = (each.knowledge.posterior for each in (state, narrowed(state)))
-    assert 15 < found.near.sum() < whole.near.sum()
+    whole, local = (stage.knowledge.posterior for stage in (state, narrowed(state)))
+    assert 15 < local.near.sum() < whole.near.sum()
     # In degrees: noise and scatter over the slope of the length.
     exact = math.hypot(0.002 / FRONT, 0.002) / (0.02 - 0.0003 * (22.0 - 12.0))
-    wide, narrow = (40.0 * float(each.samples.covariance[0, 0]) ** 0.5 for each in (whole, found))
+    wide, narrow = (40.0 * float(posterior.samples.covariance[0, 0]) ** 0.5 for posterior in (whole, local))
     assert narrow < 2.0 * exact < wide
-    assert abs(40.0 * found.samples.mean[0] - 10.0) < 4.0 * exact
+    assert abs(40.0 * local.samples.mean[0] - 10.0) < 4.0 * exact
 
 
 @pytest.mark.parametrize(("count", "seed", "widest"), [(2, 3, 0.06), pytest.param(10, 4, 0.2, marks=pytest.mark.slow)])
@@ -99,8 +99,8 @@ def test_every_answer_is_named_and_what_would_decide(tmp_path: Path, capsys: pyt
     case = wedge(tmp_path, truth=22.0, mpm=Folded(scatter=0.002))
     result = case.solve(tmp_path)
     assert result.verdict is Verdict.AMBIGUOUS
-    found = sorted(float(answer.parameters[0]) for answer in result.answers)
-    assert found == pytest.approx([22.0, 38.0], abs=1.0)
+    angles = sorted(float(answer.parameters[0]) for answer in result.answers)
+    assert angles == pytest.approx([22.0, 38.0], abs=1.0)
     assert sum(answer.weight for answer in result.answers) == pytest.approx(1.0)
     assert all(0.2 < answer.weight < 0.8 for answer in result.answers)
     assert all(result.target.misfit(answer.observation) < 0.003**2 for answer in result.answers)
@@ -144,10 +144,10 @@ def test_a_folder_that_another_process_writes_into_is_refused(tmp_path: Path) ->
 @pytest.mark.parametrize("kind", ["front", "profile"])
 def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kind: str) -> None:
     case = wedge(tmp_path, truth=24.0, kind=kind, scatter=0.001)
-    found = case.solve(tmp_path / "first")
+    outcome = case.solve(tmp_path / "first")
     # Saved elsewhere: complete.
     out = tmp_path / "saved"
-    save(found, out)
+    save(outcome, out)
     result = json.loads((out / "result.json").read_text())
     (answer,) = result["answers"]
     assert (answer["unknowns"], answer["half_widths"]) == (result["unknowns"], result["certainty"])
@@ -157,7 +157,9 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     error = 100.0 * abs(result["unknowns"]["friction_deg"] - 24.0) / 24.0
     assert result["error_pct"]["friction_deg"] == pytest.approx(error)
     assert result["seconds"].keys() == {"mpm", "processors", "total"}
-    assert [each["mpm_runs"] for each in result["iterations"]] == sorted(each["mpm_runs"] for each in found.iterations)
+    assert [iteration["mpm_runs"] for iteration in result["iterations"]] == sorted(
+        iteration["mpm_runs"] for iteration in outcome.iterations
+    )
     numbers = [result["observation"][name] for name in ("target", "mpm")]
     assert all(isinstance(number, float if kind == "front" else list) for number in numbers)
     with np.load(out / "posterior.npz", allow_pickle=False) as file:
@@ -166,16 +168,16 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
         mean = float(file["weights"] @ file["samples"][:, 0])
         assert len(file["samples"]) == len(file["weights"])
     assert mean == pytest.approx(result["unknowns"]["friction_deg"], abs=result["certainty"]["friction_deg"])
-    for each in found.mpm_runs:
-        trajectory = Trajectory.load(out / each.file)
-        assert trajectory.scene.material.friction_deg == each.parameters[0]
-        np.testing.assert_allclose(case.target.observation.observe(trajectory), each.numbers)
+    for mpm_run in outcome.mpm_runs:
+        trajectory = Trajectory.load(out / mpm_run.file)
+        assert trajectory.scene.material.friction_deg == mpm_run.parameters[0]
+        np.testing.assert_allclose(case.target.observation.observe(trajectory), mpm_run.numbers)
         assert len(trajectory.time) == 1
-    assert {run.purpose for run in found.mpm_runs} == {Purpose.WAVE, Purpose.CHECK}
+    assert {run.purpose for run in outcome.mpm_runs} == {Purpose.WAVE, Purpose.CHECK}
     assert result["remarks"] == ["the sand still moves"]
     for picture in ("deposit.png", "posterior.png"):
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
-    assert len(plot(found).axes) == 3
+    assert len(plot(outcome).axes) == 3
 
 
 def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> None:
@@ -195,7 +197,7 @@ def test_fields_are_left_to_the_adjoint(tmp_path: Path, monkeypatch: pytest.Monk
     asked: list[Problem] = []
     monkeypatch.setattr("inverse.inversion.invert", lambda problem, model: asked.append(problem))
     solve(files(tmp_path))
-    assert [each.settings.name for each in asked[0].fields] == ["velocity_x"]
+    assert [unknown.settings.name for unknown in asked[0].fields] == ["velocity_x"]
 
 
 JOINT = (
@@ -246,17 +248,17 @@ NOISE, PER_DEGREE = 0.06, 0.0164
 
 def case_of(folder: Path, prior: Prior, **changes: float) -> Case:
     case = wedge(folder, truth=27.0, scatter=0.002, **changes)
-    (known,) = case.problem.parameters
-    parameters = (replace(known, initial=None, prior=prior),)
+    (parameter,) = case.problem.parameters
+    parameters = (replace(parameter, initial=None, prior=prior),)
     return replace(case, problem=replace(case.problem, parameters=parameters))
 
 
 def test_a_prior_counts_as_much_as_a_measurement(tmp_path: Path) -> None:
     case = case_of(tmp_path, Prior(kind="normal", mean=24.0, deviation=3.0), noise=NOISE)
-    found = case.solve(tmp_path / "out")
-    save(found, tmp_path / "out")
+    outcome = case.solve(tmp_path / "out")
+    save(outcome, tmp_path / "out")
     noise = NOISE / PER_DEGREE
-    assert found.certainty["friction_deg"] == pytest.approx(1.96 * 3.0 * noise / np.hypot(3.0, noise), rel=0.3)
+    assert outcome.certainty["friction_deg"] == pytest.approx(1.96 * 3.0 * noise / np.hypot(3.0, noise), rel=0.3)
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["prior"] == {"friction_deg": {"kind": "normal", "mean": 24.0, "deviation": 3.0}}
     assert result["correlations"] == []
@@ -266,7 +268,7 @@ def test_a_prior_counts_as_much_as_a_measurement(tmp_path: Path) -> None:
         assert samples.attrs["units"] == drawn.attrs["units"] == "deg"
         assert (samples.shape, drawn.shape) == ((2, 1500), (1, 3000))
         assert [axis[0].name for axis in samples.dims] == ["/posterior/chain", "/posterior/draw"]
-        weighed = found.posterior.samples.weights @ found.samples[:, 0]
+        weighed = outcome.posterior.samples.weights @ outcome.samples[:, 0]
         assert samples[...].mean() == pytest.approx(weighed, abs=0.02)
         assert drawn[...].std() == pytest.approx(3.0, rel=0.1)
         front, shown = file["observed_data/front"][...], file["posterior_predictive/front"]
@@ -279,9 +281,9 @@ def test_a_prior_counts_as_much_as_a_measurement(tmp_path: Path) -> None:
 @pytest.mark.parametrize("mean", [24.0, 40.0])
 def test_a_surrogate_leads_with_a_prior_that_may_contradict_the_deposit(tmp_path: Path, mean: float) -> None:
     case = case_of(tmp_path, Prior(kind="normal", mean=mean, deviation=2.0))
-    found = case.led(Formula(case.target.observation, 1.02)).solve(tmp_path)
-    assert found.verdict is Verdict.CONFIRMED
-    assert abs(found.unknowns["friction_deg"] - 27.0) < 2.0 * found.certainty["friction_deg"] < 2.5
+    result = case.led(Formula(case.target.observation, 1.02)).solve(tmp_path)
+    assert result.verdict is Verdict.CONFIRMED
+    assert abs(result.unknowns["friction_deg"] - 27.0) < 2.0 * result.certainty["friction_deg"] < 2.5
 
 
 READING = """

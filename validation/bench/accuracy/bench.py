@@ -48,11 +48,11 @@ def error(flow: Trajectory, reference: Trajectory) -> float:
 
     The profile's is `measures.transport_distance`; the extent is from the rear of the masses at the start to the front.
     """
-    found, exact = flow.positions[-1], reference.positions[-1]
+    deposit, exact = flow.positions[-1], reference.positions[-1]
     front = measures.front(exact, reference.volumes)
-    apart = measures.transport_distance(found, flow.volumes, exact, reference.volumes)
+    apart = measures.transport_distance(deposit, flow.volumes, exact, reference.volumes)
     extent = front - min(mass.lower[0] for mass in flow.scene.masses)
-    return max(abs(measures.front(found, flow.volumes) - front), apart) / extent
+    return max(abs(measures.front(deposit, flow.volumes) - front), apart) / extent
 
 
 def deposit_of(flow: Trajectory) -> Deposit:
@@ -95,30 +95,32 @@ def errors_of(
         return [Run(scene=replace(fine, seed=seed), precision=resolution.precision) for seed in seeds]
 
     exact = {name: runs(scene, own(reference), (0,)) for name, scene in scenes.items()}
-    coarse = {(each, name): runs(scene, each, seeds) for each in tried for name, scene in scenes.items()}
+    coarse = {
+        (resolution, name): runs(scene, resolution, seeds) for resolution in tried for name, scene in scenes.items()
+    }
     store.run([run for group in (*coarse.values(), *exact.values()) for run in group])
     solutions = {name: store.run(group)[0] for name, group in exact.items()}
     deposits = {name: deposit_of(flow) for name, flow in solutions.items()}
-    found: dict[Resolution, dict[str, Error]] = {each: {} for each in tried}
+    by_resolution: dict[Resolution, dict[str, Error]] = {resolution: {} for resolution in tried}
     for (resolution, name), group in coarse.items():
         flows = store.run(group)
-        found[resolution][name] = Error(
+        by_resolution[resolution][name] = Error(
             errors=tuple(error(flow, solutions[name]) for flow in flows),
             thickness=tuple(deposits[name].errors(flow.positions[-1], flow.volumes).thickness for flow in flows),
             seconds=float(np.mean([flow.summary[SHARE] for flow in flows])),
             particle_steps=flows[0].summary["steps"] * flows[0].summary["particles"],
         )
-    return found
+    return by_resolution
 
 
 def rms(errors: Mapping[str, Error], what: str = "errors") -> float:
     """Root mean square over scenes and jitters."""
-    return float(np.sqrt(np.mean([np.mean(np.square(getattr(each, what))) for each in errors.values()])))
+    return float(np.sqrt(np.mean([np.mean(np.square(getattr(entry, what))) for entry in errors.values()])))
 
 
 def mean_seconds(errors: Mapping[str, Error]) -> float:
     """Of a run, over the scenes."""
-    return float(np.mean([each.seconds for each in errors.values()]))
+    return float(np.mean([entry.seconds for entry in errors.values()]))
 
 
 def prediction_limit(errors: Sequence[float]) -> float:
@@ -134,45 +136,47 @@ def prediction_limit(errors: Sequence[float]) -> float:
     return max(float(np.mean(errors)) + float(stdtrit(count - 1, COVERAGE)) * deviation, *errors)
 
 
-def bound(found: Errors, resolution: Resolution) -> float:
+def bound(by_resolution: Errors, resolution: Resolution) -> float:
     """`prediction_limit` of the largest error of each scene here and on all finer grids that differ in nothing else.
 
     Where errors of both signs cancel, one is small by chance; on finer grids it is not.
     """
-    finer = [r for r in found if r.cells >= resolution.cells and replace(r, cells=resolution.cells) == resolution]
-    names = found[resolution]
-    return prediction_limit([max(max(found[each][name].errors) for each in finer) for name in names])
+    finer = [
+        r for r in by_resolution if r.cells >= resolution.cells and replace(r, cells=resolution.cells) == resolution
+    ]
+    names = by_resolution[resolution]
+    return prediction_limit([max(max(by_resolution[grid][name].errors) for grid in finer) for name in names])
 
 
-def measured(dimension: int, found: Errors) -> list[MeasuredResolution]:
+def measured(dimension: int, by_resolution: Errors) -> list[MeasuredResolution]:
     """What `--tolerance` reads."""
     return [
         MeasuredResolution(
             dimension=dimension,
             resolution=resolution,
             expected=round(rms(errors), 5),
-            promised=round(bound(found, resolution), 5),
+            promised=round(bound(by_resolution, resolution), 5),
             thickness=round(rms(errors, "thickness"), 5),
-            particle_steps=round(float(np.mean([each.particle_steps for each in errors.values()]))),
+            particle_steps=round(float(np.mean([entry.particle_steps for entry in errors.values()]))),
         )
-        for resolution, errors in found.items()
+        for resolution, errors in by_resolution.items()
     ]
 
 
-def toml(known: Sequence[MeasuredResolution]) -> str:
+def toml(resolutions: Sequence[MeasuredResolution]) -> str:
     """`resolution.toml`."""
     return (
         "# What resolutions promise and cost, for --tolerance. By `python -m validation.bench accuracy --ship`.\n"
         "# expected, promised: errors over the extent, rms over scenes and jitters, and the bound for nine of ten\n"
         "# scenes; thickness: over the largest, rms alike; particle_steps: mean over the scenes.\n\n"
-    ) + tomli_w.dumps({"measured": [asdict(each) for each in known]})
+    ) + tomli_w.dumps({"measured": [asdict(entry) for entry in resolutions]})
 
 
-def selected(dimension: int, tolerance: float, known: Sequence[MeasuredResolution]) -> MeasuredResolution | None:
+def selected(dimension: int, tolerance: float, resolutions: Sequence[MeasuredResolution]) -> MeasuredResolution | None:
     """What a tolerance selects in a dimension; None where nothing that was measured is within it."""
     scene = next(iter(read_flows(dimension, unseen=True).values()))
     try:
-        return resolved(scene, tolerance, known).measured
+        return resolved(scene, tolerance, resolutions).measured
     except InputError:
         return None
 
@@ -199,12 +203,12 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
                 every += measured(d, errors_of(scenes, tried, SHIPPED_REFERENCE[d], seeds, store))
             write_text(MEASURED, toml(every))
             return f"{len(every)} resolutions are in {MEASURED}."
-        known, trials = read_measured(), dict[int, Errors]()
+        resolutions, trials = read_measured(), dict[int, Errors]()
         for dimension, reference in REFERENCE.items():
-            chosen = [each for tolerance in TRIED if (each := selected(dimension, tolerance, known))]
-            tried = list(dict.fromkeys(each.resolution for each in chosen))
+            chosen = [selection for tolerance in TRIED if (selection := selected(dimension, tolerance, resolutions))]
+            tried = list(dict.fromkeys(selection.resolution for selection in chosen))
             trials[dimension] = errors_of(read_flows(dimension, unseen=True), tried, reference, (SEED,), store)
-    limits = {d: {each.resolution: each.promised for each in known if each.dimension == d} for d in trials}
+    limits = {d: {entry.resolution: entry.promised for entry in resolutions if entry.dimension == d} for d in trials}
     selections = [
         {
             "": f"{d}D",
@@ -212,12 +216,12 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
             "cells": f"{r.cells:.3g}",
             "particles per axis": r.particles_per_axis,
             "step": f"{r.step_fraction:g}",
-            "bound": percent(each.promised),
-            "rms error": percent(each.expected),
+            "bound": percent(selection.promised),
+            "rms error": percent(selection.expected),
         }
         for d in trials
         for tolerance in TOLERANCES
-        if (each := selected(d, tolerance, known)) is not None and (r := each.resolution)
+        if (selection := selected(d, tolerance, resolutions)) is not None and (r := selection.resolution)
     ]
     return write_page(
         out,
@@ -226,30 +230,35 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
         coverage=COVERAGE * 10.0,
         selected=selections,
         references=" and ".join(f"{cells:g} cells in {dimension}D" for dimension, cells in REFERENCE.items()),
-        trials=tables(trial_rows(dimension, found, limits[dimension]) for dimension, found in trials.items()),
+        trials=tables(
+            trial_rows(dimension, by_resolution, limits[dimension]) for dimension, by_resolution in trials.items()
+        ),
     )
 
 
-def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> list[dict[str, str]]:
-    heads = {r: f"{r.cells:g} cells (bound {percent(limits[r])})" for r in found}
+def trial_rows(dimension: int, by_resolution: Errors, limits: Mapping[Resolution, float]) -> list[dict[str, str]]:
+    heads = {r: f"{r.cells:g} cells (bound {percent(limits[r])})" for r in by_resolution}
     rows = {
-        name: {r: emphasised(percent(of[name].errors[0]), of[name].errors[0] <= limits[r]) for r, of in found.items()}
-        for name in next(iter(found.values()))
+        name: {
+            r: emphasised(percent(of[name].errors[0]), of[name].errors[0] <= limits[r])
+            for r, of in by_resolution.items()
+        }
+        for name in next(iter(by_resolution.values()))
     }
-    rows["thickness, rms"] = {r: percent(rms(errors, "thickness")) for r, errors in found.items()}
-    rows["seconds of a run, mean"] = {r: f"{mean_seconds(errors):.2g}" for r, errors in found.items()}
+    rows["thickness, rms"] = {r: percent(rms(errors, "thickness")) for r, errors in by_resolution.items()}
+    rows["seconds of a run, mean"] = {r: f"{mean_seconds(errors):.2g}" for r, errors in by_resolution.items()}
     return [{f"{dimension}D": name} | {heads[r]: cell for r, cell in cells.items()} for name, cells in rows.items()]
 
 
 def conclusion(trials: Mapping[int, Errors], limits: Limits) -> list[str]:
     held = [
-        each.errors[0] <= limits[dimension][resolution]
-        for dimension, found in trials.items()
-        for resolution, errors in found.items()
-        for each in errors.values()
+        entry.errors[0] <= limits[dimension][resolution]
+        for dimension, by_resolution in trials.items()
+        for resolution, errors in by_resolution.items()
+        for entry in errors.values()
     ]
     said = [f"{sum(held)} of {len(held)} errors on scenes that `--tolerance` was not measured on are within its bound."]
-    for dimension, found in trials.items():
-        parts = [f"{percent(rms(e))} on {r.cells:g} cells ({mean_seconds(e):.2g} s)" for r, e in found.items()]
+    for dimension, by_resolution in trials.items():
+        parts = [f"{percent(rms(e))} on {r.cells:g} cells ({mean_seconds(e):.2g} s)" for r, e in by_resolution.items()]
         said.append(f"In {dimension}D the rms error is {', '.join(parts)} across the mass.")
     return said

@@ -72,12 +72,12 @@ class MeasuredFlow(Record):
         length, height = (1.0, self.aspect) if self.aspect >= 1.0 else (1.0 / self.aspect, 1.0)
         weight = self.density * GRAVITY * height * unit
         time = math.sqrt(height * unit / GRAVITY)
-        box = [math.ceil(each) for each in (self.box, ROOM * height, self.walls_apart or self.box)]
+        box = [math.ceil(extent) for extent in (self.box, ROOM * height, self.walls_apart or self.box)]
         along = max(0.0, 0.5 * (box[2] - self.depth)) if self.walls_apart else 0.0
         speed = (self.velocity * math.sqrt(GRAVITY * height * unit), 0.0, 0.0)[: self.dimension]
 
         def metres(*lengths: float) -> tuple[float, ...]:
-            return tuple(each * unit for each in lengths[: self.dimension])
+            return tuple(extent * unit for extent in lengths[: self.dimension])
 
         return Scene(
             domain=Domain(size=metres(*box), cell=unit / OWN_CELLS),
@@ -112,5 +112,5 @@ class MeasuredFlow(Record):
 
 def read_flows(dimension: int, *, unseen: bool) -> dict[str, Scene]:
     """The scenes of a dimension that `--tolerance` is measured on, or those that it is tried on, by name."""
-    flows = [from_mapping(MeasuredFlow, each) for each in read_toml(Path(__file__).with_suffix(".toml"))["flows"]]
-    return {each.name: each.scene() for each in flows if (each.dimension, each.unseen) == (dimension, unseen)}
+    flows = [from_mapping(MeasuredFlow, table) for table in read_toml(Path(__file__).with_suffix(".toml"))["flows"]]
+    return {flow.name: flow.scene() for flow in flows if (flow.dimension, flow.unseen) == (dimension, unseen)}

@@ -81,12 +81,12 @@ class CheckedCase:
 
     @property
     def failures(self) -> list[str]:
-        return [self.blown_up] * bool(self.blown_up) + [str(each) for each in (*self.kept, *self.own) if not each.ok]
+        return [self.blown_up] * bool(self.blown_up) + [str(check) for check in (*self.kept, *self.own) if not check.ok]
 
 
 def read_rows(names: Sequence[str] = ()) -> list[HardCase]:
     """The rows of these names and those they are compared with; all where there are none. Raises InputError."""
-    rows = {each["name"]: from_mapping(HardCase, each) for each in ROWS["rows"]}
+    rows = {table["name"]: from_mapping(HardCase, table) for table in ROWS["rows"]}
     for name in names:
         if name not in rows:
             raise InputError(f"expected the name of a row: {suggestion(name, rows)}", where=name)
@@ -112,21 +112,23 @@ def verdict(row: HardCase, flow: Trajectory | WorkFailed, other: Trajectory | Wo
         return CheckedCase(row=row, blown_up=str(flow))
     if not (numbers := finite(flow)).ok:
         return CheckedCase(row=row, kept=(numbers,))
-    kept = [found for each in (*ALWAYS, *(DEPOSIT if row.rests else ())) if (found := each(flow)) is not None]
+    kept = [
+        finding for invariant in (*ALWAYS, *(DEPOSIT if row.rests else ())) if (finding := invariant(flow)) is not None
+    ]
     if row.rings:
-        kept = [each for each in kept if each.check != "energy"]
+        kept = [finding for finding in kept if finding.check != "energy"]
     if row.energy is not None:
-        kept = [replace(each, maximum=row.energy) if each.check == "energy" else each for each in kept]
-    own = []
+        kept = [replace(finding, maximum=row.energy) if finding.check == "energy" else finding for finding in kept]
+    required = []
     for check in row.checks:
         keys = ROWS["quantities"][check["quantity"]] | check
         value = getattr(quantities, keys.pop("quantity"))(flow)
-        own.append(Finding(value=value, **keys))
+        required.append(Finding(value=value, **keys))
     if isinstance(other, Trajectory):
         value = front(flow.positions[-1], flow.volumes) / front(other.positions[-1], other.volumes)
         name = f"front over that of {row.over}"
-        own.append(Finding(check=name, value=value, minimum=1.0 - row.within, maximum=1.0 + row.within))
-    return CheckedCase(row=row, kept=tuple(kept), own=tuple(own))
+        required.append(Finding(check=name, value=value, minimum=1.0 - row.within, maximum=1.0 + row.within))
+    return CheckedCase(row=row, kept=tuple(kept), own=tuple(required))
 
 
 def fronts() -> Fronts:
@@ -173,7 +175,7 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
         flags=f" --precision {precision}",
         count=len(verdicts),
         precision=precision,
-        cases=[row_of(each) for each in verdicts],
+        cases=[row_of(case) for case in verdicts],
         safety=slopes.rows(safety),
         fronts=[
             {"": f"{dimension}D", "stiffness": f"{stiffness:g}", "step": f"{step:g}"}
@@ -181,16 +183,16 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
             for (dimension, stiffness, step), by in columns.items()
         ],
     )
-    if red := [f"{each.row.name}: {'; '.join(each.failures)}" for each in verdicts if each.failures]:
+    if red := [f"{case.row.name}: {'; '.join(case.failures)}" for case in verdicts if case.failures]:
         raise WorkFailed("red rows: " + ". ".join(red))
     return said
 
 
 def conclusion(verdicts: Sequence[CheckedCase], columns: Fronts, safety: slopes.Factors) -> list[str]:
-    red = [each.row.name for each in verdicts if each.failures]
-    exact = [not each.failures for each in verdicts if each.row.exact]
+    red = [case.row.name for case in verdicts if case.failures]
+    exact = [not case.failures for case in verdicts if case.row.exact]
     rise, balance = (
-        max(one.value for each in verdicts for one in each.kept if one.check == check)
+        max(one.value for case in verdicts for one in case.kept if one.check == check)
         for check in ("energy", "momentum")
     )
     return [
@@ -204,11 +206,15 @@ def conclusion(verdicts: Sequence[CheckedCase], columns: Fronts, safety: slopes.
     ]
 
 
-def row_of(each: CheckedCase) -> Row:
-    own = "; ".join(f"{found.check} {found.range} {found.unit}".strip() for found in each.own)
-    value = [", ".join(emphasised(f"{found.value:.4g}", found.ok) for found in each.own)] if each.own else []
-    kept = {found.check: found for found in each.kept}
-    wrong = [f"**{text}**" for text in (each.blown_up, *(str(found) for found in each.kept if not found.ok)) if text]
-    return {"scene": f"`{each.row.name}`: {each.row.what}", "required": own, "found": "; ".join([*value, *wrong])} | {
-        head: f"{kept[check].value:{form}}" if check in kept else "" for check, (head, form) in COLUMNS.items()
-    }
+def row_of(case: CheckedCase) -> Row:
+    required = "; ".join(f"{finding.check} {finding.range} {finding.unit}".strip() for finding in case.own)
+    value = [", ".join(emphasised(f"{finding.value:.4g}", finding.ok) for finding in case.own)] if case.own else []
+    kept = {finding.check: finding for finding in case.kept}
+    wrong = [
+        f"**{text}**" for text in (case.blown_up, *(str(finding) for finding in case.kept if not finding.ok)) if text
+    ]
+    return {
+        "scene": f"`{case.row.name}`: {case.row.what}",
+        "required": required,
+        "found": "; ".join([*value, *wrong]),
+    } | {head: f"{kept[check].value:{form}}" if check in kept else "" for check, (head, form) in COLUMNS.items()}

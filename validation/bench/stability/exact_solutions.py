@@ -132,7 +132,7 @@ def settlement(scene: Scene) -> float:
     compression. The lateral stress is nu / (1 - nu) of the vertical, less than Mohr-Coulomb requires: nothing yields.
     """
     load = total = 0.0
-    for mass in sorted(scene.masses, key=lambda each: -each.lower[1]):
+    for mass in sorted(scene.masses, key=lambda layer: -layer.lower[1]):
         material, height = scene.material_of(mass), mass.size[1]
         weight = material.density * scene.gravity * height
         total += (load + 0.5 * weight) * height / (material.lame + 2.0 * material.shear_modulus)

@@ -97,9 +97,9 @@ def outside_baffles(flow: Trajectory) -> Finding | None:
 
 def mass(flow: Trajectory) -> Finding | None:
     """Relative error of the volume of the particles, lost ones included, against that of the boxes that were filled."""
-    if any(each.kind != "box" for each in flow.scene.masses):
+    if any(body.kind != "box" for body in flow.scene.masses):
         return None
-    boxes = sum(math.prod(each.size) for each in flow.scene.masses)
+    boxes = sum(math.prod(body.size) for body in flow.scene.masses)
     error = abs(initial_volumes(flow.scene).mean() * flow.positions.shape[1] / boxes - 1.0)
     return Finding(check="mass", value=float(error), maximum=1.0e-9)
 

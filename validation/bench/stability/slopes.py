@@ -68,24 +68,24 @@ def factors(slopes: Sequence[KnownSlope]) -> Factors:
     return {slope: {count: safety_factor(slope.scene(count)) for count in CELLS} for slope in slopes}
 
 
-def rows(found: Factors) -> list[Row]:
+def rows(by_slope: Factors) -> list[Row]:
     """Found over known factors, and seconds, by cells."""
     return [
         {"slope": slope.name, "known": f"{slope.factor:.3f}, {slope.source}"}
-        | {f"{count} cells": f"{each.factor / slope.factor:.3f}" for count, each in by_cells.items()}
-        | {"seconds": ", ".join(f"{each.seconds:.0f}" for each in by_cells.values())}
-        for slope, by_cells in found.items()
+        | {f"{count} cells": f"{computed.factor / slope.factor:.3f}" for count, computed in by_cells.items()}
+        | {"seconds": ", ".join(f"{computed.seconds:.0f}" for computed in by_cells.values())}
+        for slope, by_cells in by_slope.items()
     ]
 
 
-def conclusion(found: Factors) -> str:
+def conclusion(by_slope: Factors) -> str:
     """The largest deviation from a known factor, by cells, of those that are known for the law that was run."""
-    known = {slope: by_cells for slope, by_cells in found.items() if slope in KNOWN}
+    slopes = {slope: by_cells for slope, by_cells in by_slope.items() if slope in KNOWN}
     off = {
-        count: max(abs(by_cells[count].factor / slope.factor - 1.0) for slope, by_cells in known.items())
-        for count in next(iter(known.values()))
+        count: max(abs(by_cells[count].factor / slope.factor - 1.0) for slope, by_cells in slopes.items())
+        for count in next(iter(slopes.values()))
     }
     said = ", ".join(f"{percent(value)} with {count}" for count, value in off.items())
     return (
-        f"Factors of safety of {len(known)} slopes differ from the known ones by at most {said} cells over the height."
+        f"Factors of safety of {len(slopes)} slopes differ from the known ones by at most {said} cells over the height."
     )
