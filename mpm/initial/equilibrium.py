@@ -287,8 +287,8 @@ class Equilibrium:
         stress[beyond] = in_axes(np.linalg.eigh(stress[beyond])[1], principal[beyond])
         mean = principal.mean(axis=1)
         share = self.law.admitted_share(mean, principal - mean[:, None], self.properties)
-        yields = share < 1.0
-        factor, pressure = inside * np.maximum(share[yields], 0.0), mean[yields, None, None] * np.eye(3)
+        yields = beyond | (share < 1.0)
+        factor, pressure = inside * np.clip(share[yields], 0.0, 1.0), mean[yields, None, None] * np.eye(3)
         stress[yields] = pressure + factor[:, None, None] * (stress[yields] - pressure)
         return stress
 

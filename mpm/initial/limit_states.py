@@ -29,11 +29,13 @@ Floats = NDArray[np.float64]
 
 RELAXED = 1.6
 """Factor on the step of z, below 2."""
-ITERATIONS, BETWEEN, PATIENCE = 240, 4, 8
-"""Steps at most; after how many what is unbalanced is computed, and how often in a row that may be no less."""
-NEARLY, ENOUGH = 1.0e-3, 1.0e-5
+ITERATIONS, BETWEEN = 240, 4
+"""Steps at most, and after how many what is unbalanced is computed: a look."""
+PATIENCE, PROGRESS = 8, 0.8
+"""How many looks in a row may leave more than this part of the least unbalanced force so far."""
+NEARLY, ENOUGH, HASTE = 1.0e-3, 2.0e-4, 4
 """Unbalanced nodal forces, summed, over the weight, below which nodes that walls would pull are freed; and below which
-steps go on only while they halve between two looks."""
+a look without progress counts for so many: particles then move by a ten-thousandth of a cell at most."""
 ROUGH = 0.1
 """Relative residual of P_E."""
 SOFTEST = 0.01
@@ -95,7 +97,7 @@ class WithThrust:
     def sought(self, start: Floats) -> Floats:
         """The best stress of E that is admitted, [N, 3, 3], sought from `start`, without what walls would pull."""
         problem, releases = self.problem, RELEASES
-        best, smallest, patience, moving, before = start, np.inf, PATIENCE, start, np.inf
+        best, smallest, patience, moving = start, np.inf, PATIENCE, start
         for step in range(ITERATIONS):
             stress = self.nearest(moving)
             if step % BETWEEN == 0:
@@ -109,12 +111,12 @@ class WithThrust:
                     self.factorise()
                     releases, patience, smallest = releases - 1, PATIENCE, np.inf
                     continue
-                patience = PATIENCE if left < 0.9 * smallest else patience - 1
+                patience -= HASTE if smallest <= ENOUGH else 1
+                patience = PATIENCE if left < PROGRESS * smallest else patience
                 if left < smallest:
                     best, smallest = admitted, left
-                if smallest <= BALANCED or patience == 0 or (smallest <= ENOUGH and left > 0.5 * before):
+                if smallest <= BALANCED or patience <= 0:
                     break
-                before = left
             reflected = 2.0 * stress - moving
             principal, axes = np.linalg.eigh(reflected)
             nearest = problem.law.nearest(principal, problem.properties)
