@@ -29,14 +29,15 @@ def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, Intege
     Only the n nodes in the support of particles; indices count from the first padding node, as the kernel's.
     """
     nodes, weight, offset = support(scene, positions)
-    count, cell, shape = len(positions), scene.domain.cell, node_shape(scene.domain)
+    cell, shape = scene.domain.cell, node_shape(scene.domain)
     supports = np.zeros(np.prod(shape), bool)
     supports[nodes.ravel()] = True
     touched, column = np.flatnonzero(supports), (np.cumsum(supports) - 1).astype(np.int32)[nodes].ravel()
 
     def matrix(values: Floats) -> Any:
         starts = np.arange(0, values.size + 1, nodes.shape[1], dtype=np.int32)
-        return sparse.csr_array((values.ravel(), np.resize(column, values.size), starts), (len(starts) - 1, len(touched)))
+        columns = np.resize(column, values.size)
+        return sparse.csr_array((values.ravel(), columns, starts), (len(starts) - 1, len(touched)))
 
     slopes = 4.0 / cell * np.moveaxis(weight[:, :, None] * offset, -1, 0)
     return matrix(weight), matrix(slopes), np.stack(np.unravel_index(touched, shape), axis=1)

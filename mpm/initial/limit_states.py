@@ -35,7 +35,7 @@ PATIENCE, PROGRESS = 8, 0.8
 """How many looks in a row may leave more than this part of the least unbalanced force so far."""
 NEARLY, ENOUGH, HASTE = 1.0e-3, 2.0e-4, 4
 """Unbalanced nodal forces, summed, over the weight, below which nodes that walls would pull are freed; and below which
-a look without progress counts for so many: particles then move by a ten-thousandth of a cell at most."""
+a look without progress counts for so many: particles then do not move by a ten-thousandth of a cell."""
 ROUGH = 0.1
 """Relative residual of P_E."""
 SOFTEST = 0.01
@@ -56,8 +56,7 @@ class WithThrust:
         boxes = [number for number, each in enumerate(scene.masses) if each.k0 is not None and not clings(each)]
         self.parts = [(mass == number, axis) for number in boxes for axis in (0, 2)[: scene.dimension - 1]]
         self.thrusts = self.sums(guess)
-        self.displacements = np.zeros(problem.nodes.shape)
-        self.modes = np.zeros((len(self.parts), *guess.shape))
+        self.modes, self.correction = np.zeros((len(self.parts), *guess.shape)), np.zeros(guess.shape)
         for mode, (own, axis) in zip(self.modes, self.parts, strict=True):
             mode[own, axis, axis] = problem.theta[own]
         self.factorise()
@@ -67,7 +66,7 @@ class WithThrust:
         self.precondition = self.problem.preconditioner()
         contact = self.problem.contact
         for mode in self.modes:
-            for _ in range(4):
+            for _ in range(2):
                 force = contact.force(contact.normal_stress(mode[contact.touching]), 0.0 * contact.traction)
                 mode += self.problem.elastic(self.displaced_by(force - self.problem.divergence(mode)))
         self.response = np.array([self.sums(each) for each in self.modes]).T
@@ -84,15 +83,14 @@ class WithThrust:
         return conjugate_gradients(problem.stiffness, force, self.precondition, ROUGH)[0]
 
     def nearest(self, stress: Floats) -> Floats:
-        """P_E(stress), [N, 3, 3], starting from the displacements of the projection before."""
+        """P_E(stress), [N, 3, 3], starting from the change by the projection before."""
         problem = self.problem
-        force = problem.unbalanced(stress + problem.elastic(self.displacements), problem.contact.traction)
-        self.displacements = self.displacements + self.displaced_by(force)
-        stress = stress + problem.elastic(self.displacements)
+        force = problem.unbalanced(stress + self.correction, problem.contact.traction)
+        self.correction += problem.elastic(self.displaced_by(force))
         if self.parts:
-            factors = np.linalg.solve(self.response, self.thrusts - self.sums(stress))
-            stress = stress + np.tensordot(factors, self.modes, 1)
-        return np.asarray(stress)
+            lacking = self.thrusts - self.sums(stress + self.correction)
+            self.correction += np.tensordot(np.linalg.solve(self.response, lacking), self.modes, 1)
+        return stress + self.correction
 
     def sought(self, start: Floats) -> Floats:
         """The best stress of E that is admitted, [N, 3, 3], sought from `start`, without what walls would pull."""
