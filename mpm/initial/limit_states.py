@@ -12,10 +12,9 @@ and Douglas-Rachford iteration finds one (Lions & Mercier 1979; Bauschke, Combet
 
     x = P_E(z),   y = P_Y(2 x - z),   z <- z + RELAXED (y - x)
 
-P projects in the norm sum_p (V_p / theta_p) sigma : sigma, theta_p the overburden over its largest: an error at depth
-is then mended there, and not by the loose surface, whose stresses are small. For E that is the correction of an elastic
-body with lambda = 0 and a shear modulus in proportion to theta_p, so that one factorisation serves all iterations; the
-thrust adds a self-equilibrated stress to it. P_E is found roughly: what is left belongs to the next one.
+P projects in the norm sum_p V_p sigma : sigma. For E that is the correction of an elastic body with lambda = 0 and one
+shear modulus, so that one factorisation serves all iterations; the thrust adds a self-equilibrated stress to it. P_E is
+found roughly: what is left belongs to the next one.
 """
 
 import numpy as np
@@ -33,13 +32,11 @@ ITERATIONS, BETWEEN = 240, 4
 """Steps at most, and after how many what is unbalanced is computed: a look."""
 PATIENCE, PROGRESS = 8, 0.8
 """How many looks in a row may leave more than this part of the least unbalanced force so far."""
-NEARLY, ENOUGH, HASTE = 1.0e-3, 2.0e-4, 4
-"""Unbalanced nodal forces, summed, over the weight, below which nodes that walls would pull are freed; and below which
-a look without progress counts for so many: particles then do not move by a ten-thousandth of a cell."""
+NEARLY, ENOUGH, HASTE = 2.0e-3, 2.0e-4, 4
+"""Unbalanced nodal forces, summed, over the weight: where less is left, or patience ends, nodes that walls would pull
+are freed; and below which a look without progress counts for so many: hardly anything moves then."""
 ROUGH = 0.1
 """Relative residual of P_E."""
-SOFTEST = 0.01
-"""Least theta_p."""
 RELEASES = 5
 """How often nodes are freed."""
 
@@ -51,14 +48,13 @@ class WithThrust:
         """mass: index of the mass of each chosen particle, [N]; guess: geostatic stress of these thrusts, [N, 3, 3]."""
         self.problem = problem
         problem.lame, problem.shear = 0.0 * problem.lame, np.full_like(problem.shear, problem.shear.mean())
-        load = -guess[:, 1, 1]
-        problem.theta, problem.inertia = np.maximum(load / load.max(), SOFTEST), 0.0 * problem.inertia
+        problem.theta, problem.inertia = np.ones_like(problem.theta), 0.0 * problem.inertia
         boxes = [number for number, each in enumerate(scene.masses) if each.k0 is not None and not clings(each)]
         self.parts = [(mass == number, axis) for number in boxes for axis in (0, 2)[: scene.dimension - 1]]
         self.thrusts = self.sums(guess)
         self.modes, self.correction = np.zeros((len(self.parts), *guess.shape)), np.zeros(guess.shape)
         for mode, (own, axis) in zip(self.modes, self.parts, strict=True):
-            mode[own, axis, axis] = problem.theta[own]
+            mode[own, axis, axis] = 1.0
         self.factorise()
 
     def factorise(self) -> None:
@@ -104,7 +100,7 @@ class WithThrust:
                 off = np.abs(self.sums(admitted) / self.thrusts - 1.0).max(initial=0.0)
                 left = float(np.abs(force[problem.free]).sum()) / problem.weight + float(off)
                 pulled = problem.pulled(force)
-                if pulled.any() and left <= NEARLY and releases > 0:
+                if pulled.any() and releases > 0 and (left <= NEARLY or patience <= 1):
                     problem.free |= pulled
                     self.factorise()
                     releases, patience, smallest = releases - 1, PATIENCE, np.inf
