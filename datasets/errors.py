@@ -31,11 +31,11 @@ class WorkFailed(RuntimeError):
 
 @contextmanager
 def naming(path: Path, key: str = "") -> Iterator[None]:
-    """A mistake that the block finds, with the file `path` and the key where it names no file."""
+    """A mistake that the block finds, with the file `path` where it names no file, and with the key where none."""
     try:
         yield
     except InputError as error:
-        raise error if error.where else error.at(str(path), key) from None
+        raise error.at(error.where or str(path), key) from None
 
 
 @contextmanager

@@ -5,6 +5,7 @@ This is the one place that moves results. The bytes are on the disk before the n
 may be anybody's: before and while a library reads them, whatever is wrong is one InputError that names the file.
 """
 
+import codecs
 import csv
 import errno
 import json
@@ -22,10 +23,11 @@ from datasets.memory import spoken
 
 PART = ".part-"
 """What the names of files begin with that are still being written."""
-_being_written: set[Path] = set()
-"""Such files of this process."""
 LONGEST_LINE = 200
 """Characters of a library's message that are passed on."""
+MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+"""What text begins with that says how it is encoded."""
+NEW_LINE = b"\n"
 LARGEST, LARGEST_TEXT = 2**30, 2**28
 """Bytes of a raster or a mesh, and of a file of text."""
 FARTHEST = 1.0e12
@@ -51,7 +53,6 @@ def replacing(path: Path) -> Iterator[Path]:
             raise InputError(f"expected a folder to write to, {error.strerror}", where=str(path.parent)) from None
         os.close(handle)
         part = Path(name)
-        _being_written.add(part)
         yield part
         part.chmod(0o644)
         flush(part)
@@ -64,13 +65,6 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         if part != path:
             part.unlink(missing_ok=True)
-            _being_written.discard(part)
-
-
-def remove_own_parts() -> None:
-    """Remove what this process has not finished writing, before it ends by a signal."""
-    for part in tuple(_being_written):
-        part.unlink(missing_ok=True)
 
 
 def flush(path: Path) -> None:
@@ -93,9 +87,14 @@ def remove_parts(folder: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make the folder `path`, in which a command leaves its results. Raises InputError."""
+    """Make the folder `path`, in which a command leaves its results: before its work, which would be lost.
+
+    Raises InputError.
+    """
     try:
         path.mkdir(parents=True, exist_ok=True)
+        if not os.access(path, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
         raise InputError(f"expected a folder to write to, {error.strerror}", where=str(path), key="--out") from None
 
@@ -168,11 +167,27 @@ def line_of(error: BaseException) -> str:
     return shortened(text, LONGEST_LINE)
 
 
-def read_text(path: Path, what: str) -> str:
-    """The text of a file in UTF-8, a mark of the byte order left out. Raises InputError."""
+def decoded(raw: bytes, errors: str = "strict") -> str:
+    """Text in UTF-8, or as the mark of the byte order says with which it begins. Raises UnicodeDecodeError."""
+    return raw.decode(next((name for mark, name in MARKS.items() if raw.startswith(mark)), "utf-8"), errors)
+
+
+def read_text(path: Path, what: str, *, windows: bool = False) -> str:
+    """The text of a file (`decoded`), its lines ended by a line feed. Raises InputError.
+
+    windows: whether bytes that are no UTF-8 are letters of Windows-1252, in which spreadsheets of Western Europe write.
+    """
     file_size(path, what, most=LARGEST_TEXT)
     with reading(path, f"{what} that can be read"):
-        return path.read_text(encoding="utf-8-sig")
+        raw = path.read_bytes()
+        try:
+            text = decoded(raw)
+        except UnicodeDecodeError as error:
+            if not windows:
+                place = f"line {raw.count(NEW_LINE, 0, error.start) + 1}"
+                raise InputError(f"expected {what} in UTF-8, got other bytes in {place}") from None
+            text = raw.decode("cp1252", errors="replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -52,8 +52,9 @@ def locked(folder: Path) -> Iterator[Path]:
         who = f"process {os.getpid()} on {socket.gethostname()} writes here since {now} ({command})"
         write_text(folder / HOLDER, who)
         yield folder
-        remove_parts(folder)
     finally:
+        # Those of its own processes, too, that a signal has ended.
+        remove_parts(folder)
         (folder / HOLDER).unlink(missing_ok=True)
         # While it is held: who waits for it sees that the name is gone, and begins anew.
         if lock.is_locked and isinstance(lock, UnixFileLock):

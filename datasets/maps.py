@@ -16,23 +16,23 @@ times of arrival. So the maps also look between the frames, where a particle fol
 velocities at both (Hermite).
 """
 
-import json
 import math
 import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from shapely import MultiPolygon, Polygon
-from shapely.geometry import mapping
 from shapely.geometry.polygon import orient
 from tqdm import tqdm
 
 from datasets.command_line import run
-from datasets.errors import InputError, require
+from datasets.errors import InputError, naming, require
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.flow.fields import FlowFields
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_file
@@ -213,11 +213,6 @@ def map_corner(scene: Scene) -> tuple[tuple[float, ...], str | None]:
     return next(corners, ((east, north), scene.domain.crs))
 
 
-def outline(maps: PlanMaps, values: Floats, threshold: float) -> MultiPolygon:
-    """Where one of `maps`, shape [X, Z], exceeds a threshold, in their coordinates; see `region_above`."""
-    return region_above(maps.grid, values, threshold, maps.corner)
-
-
 def region_above(grid: Grid, values: Floats, threshold: float, corner: Sequence[float] = (0.0, 0.0)) -> MultiPolygon:
     """Where `values` [X, Z] at the middles of cells exceed a threshold: polygons with holes, `corner` [m] added.
 
@@ -239,19 +234,19 @@ def region_above(grid: Grid, values: Floats, threshold: float, corner: Sequence[
 def write_outlines(path: Path, maps: PlanMaps, outlines: dict[tuple[str, float], MultiPolygon]) -> None:
     """Write the outlines of `maps`, by name and threshold [m], as GeoJSON: a MultiPolygon each.
 
-    Its properties are `name`, `threshold_m` and `area_m2`. Coordinates are those of the rasters, their system is named
-    as GDAL does (`crs`); local ones name none.
+    Its properties are `name`, `threshold_m` and `area_m2`. Coordinates are those of the rasters, whose reference system
+    is named; local ones name none.
     """
-    from datasets.exchange.rasters import name_in_geojson
+    import pyogrio
 
-    features = []
-    for (name, threshold), polygons in outlines.items():
-        properties = {"name": name, "threshold_m": threshold, "area_m2": polygons.area}
-        features.append({"type": "Feature", "properties": properties, "geometry": mapping(polygons)})
-    collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
-    if maps.crs is not None:
-        collection["crs"] = {"type": "name", "properties": {"name": name_in_geojson(maps.crs)}}
-    write_text(path, json.dumps(collection) + "\n")
+    names, thresholds = zip(*outlines, strict=True)
+    shapes = [*outlines.values()]
+    columns = {"name": names, "threshold_m": thresholds, "area_m2": shapely.area(shapes)}
+    with warnings.catch_warnings(), replacing(path) as part:
+        # A box in its own coordinates has no reference system, which is no mistake.
+        warnings.simplefilter("ignore")
+        options = {"driver": "GeoJSON", "layer": path.stem, "geometry_type": "MultiPolygon", "crs": maps.crs}
+        pyogrio.raw.write(part, shapely.to_wkb(shapes), [*map(np.array, columns.values())], [*columns], **options)
 
 
 def style(colours: str, most: float, unit: str) -> str:
@@ -304,7 +299,7 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequ
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
     levels = sorted({maps.threshold, *thresholds})
     outlines = {
-        (name, level): outline(maps, values, level)
+        (name, level): region_above(maps.grid, values, level, maps.corner)
         for name, values in shown.items()
         for level in levels
         if values is not None
@@ -352,7 +347,8 @@ def command(trajectory: Path, /, *, out: Path, cell: float | None = None, thresh
     require(all(level > 0.0 for level in threshold), "--threshold", "thicknesses above 0 m", list(threshold))
     make_folder(out)
     edge, first = flow.scene.domain.cell if cell is None else cell, threshold[0] if threshold else None
-    maps = maps_of(flow, edge, threshold=first, progress=True)
+    with naming(trajectory):
+        maps = maps_of(flow, edge, threshold=first, progress=True)
     said = write(flow, maps, out, threshold)
     extent = "" if said["extent"] is None else f", extent x = {said['extent']:.4f} m"
     deposit = f"volume {maps.volume:.4g}, largest thickness {said['thickness_max']:.3g} m{extent}"

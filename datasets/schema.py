@@ -106,18 +106,30 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
             key = cause.key.removeprefix(path.split(".")[-1] + ".") if path else cause.key
             raise OutOfRange(cause.message, key=".".join(part for part in (path, key) if part)) from None
         if first["type"] == "unexpected_keyword_argument":
-            schema = adapter.json_schema()
-            parts = [schema, *schema.get("$defs", {}).values()]
-            known = [name for part in parts for name in part.get("properties", {})]
-            raise InputError(unknown_key(str(first["loc"][-1]), known), key=path) from None
+            name, schema = str(first["loc"][-1]), adapter.json_schema()
+            raise InputError(unknown_key(name, *keys_of(schema, first["loc"][:-1])), key=path) from None
         if first["type"] == "missing":
             raise InputError("expected a value, the key is missing", key=path) from None
         expected = first["msg"].removeprefix("Input should be ")
         raise InputError(f"expected {expected}, got {first['input']!r}", key=path) from None
 
 
-def unknown_key(name: str, known: Sequence[str]) -> str:
-    """What is expected in place of a key that is none of the known ones."""
+def keys_of(schema: dict[str, Any], place: Sequence[int | str]) -> tuple[list[str], list[str]]:
+    """The keys of the table at a place, and those of all tables, by the JSON schema of a record."""
+    tables: dict[str, Any] = schema.get("$defs", {})
+    here, everywhere = schema, [key for each in (schema, *tables.values()) for key in each.get("properties", {})]
+    for part in place:
+        here = here.get("properties", {}).get(part, {}) if isinstance(part, str) else here.get("items", {})
+        # An optional table stands beside null.
+        here = next((each for each in here.get("anyOf", ()) if each.get("type") != "null"), here)
+        here = tables.get(str(here.get("$ref")).rsplit("/", 1)[-1], here)
+    return [*here.get("properties", {})] or everywhere, everywhere
+
+
+def unknown_key(name: str, known: Sequence[str], elsewhere: Sequence[str] = ()) -> str:
+    """What is expected in place of a key that is none of the known ones, but perhaps one of another table."""
+    if name in elsewhere:
+        return "expected a known key, this one belongs in another table"
     near = difflib.get_close_matches(name, known, n=1)
     return "expected a known key" + (f", did you mean {near[0]!r}?" if near else "")
 

@@ -21,7 +21,7 @@ import tomli_w
 from numpy.typing import NDArray
 
 from datasets.command_line import run
-from datasets.errors import InputError, naming, require
+from datasets.errors import naming, require
 from datasets.exchange.map_box import largest, whole_cells
 from datasets.files import write_text
 from datasets.scene.checks import warn_if_unlikely
@@ -57,7 +57,7 @@ def site(
     raster: "Raster",
     release: "list[Feature]",
     *,
-    thickness: "float | Floats | None",
+    thickness: "float | Raster | None",
     vertical: bool,
     bed: dict[str, Any],
     slope: float,
@@ -66,19 +66,18 @@ def site(
 ) -> dict[str, Any]:
     """The tables of a scene file without its terrain's path and its times; lengths in m on the map.
 
-    thickness: of all polygons, at the posts of the raster [X, Z], or as each polygon says; bed: `friction` of the
+    thickness: of all polygons, in the cells of a raster of its own, or as each polygon says; bed: `friction` of the
     ground, and perhaps its `turbulence`; slope: of the energy line; internal_friction: of the material [deg]. Raises
     InputError for a release that does not lie on the raster or has no thickness.
     """
-    field = thickness if isinstance(thickness, np.ndarray) else None
-    given = thickness if isinstance(thickness, float) else None
-    thick = [float(np.max(field)) if field is not None else thickness_of(each, given) for each in release]
+    given, field = (thickness, None) if isinstance(thickness, float) else (None, thickness)
+    thick = [float(np.nanmax(field.values)) if field else thickness_of(each, given) for each in release]
     covered = np.zeros(raster.values.shape, bool)
     masses, top, taken = [], -math.inf, shapely.Polygon()
     for feature, own in zip(release, thick, strict=True):
         shape, taken = feature.polygon.difference(taken), taken.union(feature.polygon)
         for polygon in without_rings(shape):
-            mass, inside = layer(raster, polygon, own if field is None else field, vertical)
+            mass, inside = layer(raster, polygon, field or own, vertical)
             covered |= inside
             masses.append(mass)
             top = max(top, float(raster.values[inside].max()) + 2.0 * own)
@@ -86,7 +85,9 @@ def site(
     if twice > OVERLAP * taken.area:
         said = f"polygons of the release share {twice:.3g} m^2, which count once, by the first of them"
         warnings.warn(said, stacklevel=2)
-    steep = math.degrees(math.acos(1.0 / np.median(steepness(raster)[covered]))) if "turbulence" in bed else 0.0
+    steep = 0.0
+    if "turbulence" in bed:
+        steep = math.degrees(math.acos(1.0 / np.median(steepness(raster, raster.x, raster.z)[covered])))
     if steep > internal_friction + 1.0:
         said = (
             f"--internal-friction: {internal_friction:g} degrees are less than the {steep:.0f} degrees of the slope"
@@ -140,48 +141,55 @@ def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
 
 
 def layer(
-    raster: "Raster", polygon: shapely.Polygon, thickness: float | Floats, vertical: bool
+    raster: "Raster", polygon: shapely.Polygon, thickness: "float | Raster", vertical: bool
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
     """A polygon as a mass of a scene file, and the posts [X, Z] of the raster within it or beside it.
 
-    thickness: [m], a number or one for each post.
+    thickness: [m], a number, or a raster in whose cells the mass then has it.
     """
     box = polygon.bounds
-    axes, parts = (raster.x, raster.z), []
-    for axis, spacing, low, high in zip(axes, raster.spacing, box[:2], box[2:], strict=True):
+    for axis, spacing, low, high in zip((raster.x, raster.z), raster.spacing, box[:2], box[2:], strict=True):
         within = axis[0] - 0.5 * spacing <= low and high <= axis[-1] + 0.5 * spacing
         got = f"{low:.10g} to {high:.10g} beside {axis[0]:.10g} to {axis[-1]:.10g}"
         require(bool(within), "--release", "polygons that lie on the raster", got)
-        near = np.flatnonzero((axis >= low - spacing) & (axis <= high + spacing))
-        parts.append(slice(near[0], near[-1] + 1))
+    parts, inside = beside(raster, polygon), np.zeros(raster.values.shape, bool)
     x, z = np.meshgrid(raster.x[parts[0]], raster.z[parts[1]], indexing="ij")
-    inside = np.zeros(raster.values.shape, bool)
-    inside[parts[0], parts[1]] = shapely.intersects_xy(polygon.buffer(0.5 * max(raster.spacing)), x, z)
+    inside[parts] = shapely.intersects_xy(polygon.buffer(0.5 * max(raster.spacing)), x, z)
     holes = int(np.isnan(raster.values[inside]).sum())
     require(holes == 0, "--release", "ground beneath all of it", f"{holes} posts of the raster without data")
     mass: dict[str, Any] = {"kind": "layer", "outline": [list(place) for place in polygon.exterior.coords[:-1]]}
-    here = thickness[parts[0], parts[1]] if isinstance(thickness, np.ndarray) else thickness
-    if vertical and isinstance(here, float):
-        return mass | {"thickness": here}, inside
-    require(bool(np.max(here) > 0.0), "--thickness", "a thickness above 0 m in each polygon", "none")
-    rows = np.round(here * (1.0 if vertical else steepness(raster)[parts[0], parts[1]]), 6)
-    place = {"origin": [float(raster.x[parts[0]][0]), float(raster.z[parts[1]][0])], "spacing": list(raster.spacing)}
+    if vertical and isinstance(thickness, float):
+        return mass | {"thickness": thickness}, inside
+    if isinstance(thickness, float):
+        cells, here = raster, np.full(x.shape, thickness)
+    else:
+        cells, parts = thickness, beside(thickness, polygon)
+        here = np.nan_to_num(thickness.values[parts])
+    require(bool((here > 0.0).any()), "--thickness", "a thickness above 0 m in each polygon", "none")
+    x, z = cells.x[parts[0]], cells.z[parts[1]]
+    rows = np.round(here * (1.0 if vertical else steepness(raster, x, z)), 6)
+    place = {"origin": [float(x[0]), float(z[0])], "spacing": list(cells.spacing)}
     return mass | {"thickness": rows.tolist()} | place, inside
 
 
-def at_posts(values: "Raster", raster: "Raster") -> Floats:
-    """Values of one raster at the posts of another [X, Z], bilinear; 0 in its holes and beyond it."""
+def beside(raster: "Raster", polygon: shapely.Polygon) -> tuple[slice, slice]:
+    """Which posts of a raster along x and z lie in the box around a polygon or within a cell of it."""
+    ends = zip((raster.x, raster.z), raster.spacing, polygon.bounds[:2], polygon.bounds[2:], strict=True)
+    first, second = (
+        slice(int(np.searchsorted(axis, low - step)), int(np.searchsorted(axis, high + step, side="right")))
+        for axis, step, low, high in ends
+    )
+    return first, second
+
+
+def steepness(raster: "Raster", x: Floats, z: Floats) -> Floats:
+    """1 / cos(slope) at places x, z [m], shape [X, Z]: central differences at the posts, linear between; 1 in holes."""
     from scipy.ndimage import map_coordinates
 
-    sides = zip((raster.x, raster.z), (values.x, values.z), values.spacing, strict=True)
-    places = np.meshgrid(*((posts - own[0]) / step for posts, own, step in sides), indexing="ij")
-    return np.asarray(map_coordinates(np.nan_to_num(values.values), places, order=1, mode="constant"))
-
-
-def steepness(raster: "Raster") -> Floats:
-    """1 / cos(slope) at the posts [X, Z], by central differences; 1 beside holes."""
     along, across = np.gradient(raster.values, *raster.spacing)
-    return np.asarray(np.nan_to_num(np.sqrt(1.0 + along**2 + across**2), nan=1.0))
+    steep = np.nan_to_num(np.sqrt(1.0 + along**2 + across**2), nan=1.0)
+    places = [(at - own[0]) / step for at, own, step in zip((x, z), (raster.x, raster.z), raster.spacing, strict=True)]
+    return np.asarray(map_coordinates(steep, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"))
 
 
 def reached(raster: "Raster", release: NDArray[np.bool_], top: float, slope: float) -> tuple[Floats, Floats]:
@@ -257,12 +265,11 @@ def command(
     require(cell is None or 0.0 < cell < math.inf, "--cell", "a length above 0 m", cell)
     with naming(dem):
         raster = read_raster(dem)
-    thick: float | Floats | None = None if isinstance(thickness, Path) else thickness
+    thick: float | Raster | None = None if isinstance(thickness, Path) else thickness
     if isinstance(thickness, Path):
         with naming(thickness, "--thickness"):
-            values = read_raster(thickness)
-            require(same_system(raster.crs, values), "", f"the reference system of {dem}, {raster.crs}", values.crs)
-            thick = at_posts(values, raster)
+            thick = read_raster(thickness)
+            require(same_system(raster.crs, thick), "", f"the reference system of {dem}, {raster.crs}", thick.crs)
     with naming(release):
         features = read_polygons(release, raster.crs)
         bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
@@ -278,10 +285,8 @@ def command(
         print(f"{dem}: the raster with its holes filled by the nearest posts; nothing should flow there")
     paths = {name: value for name, value in (bed | {"file": dem}).items() if isinstance(value, Path)}
     terrain |= {name: str(path.resolve()) for name, path in paths.items()}
-    try:
+    with naming(out):
         scene = scene_from({"duration": 1.0, "frame_dt": 1.0, **table}, out.resolve().parent)
-    except InputError as error:
-        raise error if error.where else error.at(str(out)) from None
     warn_if_unlikely(scene)
     terrain |= {name: os.path.relpath(path.resolve(), out.resolve().parent) for name, path in paths.items()}
     size, speed = scene.domain.size, greatest_speed(scene)

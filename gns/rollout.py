@@ -64,6 +64,7 @@ def rollout(
             check(read, simulator.settings)
             if warning := card.warning(path, read):
                 print(warning, file=sys.stderr)
+            files.make_folder(out)
             trajectory = simulate(read, model=simulator, start=frames, threads=threads, device=device, progress=True)
     except KeyboardInterrupt as interrupt:
         raise type(interrupt)("nothing was written") from None

@@ -1,7 +1,7 @@
 """Pictures of what was found: deposits with what was observed of them, parameters, posterior, fields."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,7 +30,7 @@ from inverse.observations.deposit import Passed, Toe
 from inverse.observations.outline import Boundary
 from inverse.observations.profile import Profile
 from inverse.parameters.field import LABELS
-from inverse.residuals import draw, residuals
+from inverse.residuals import NORMAL, OUTLIER, Residuals, residuals
 from inverse.result import Result
 
 Deposit = NDArray[np.floating]
@@ -68,7 +68,7 @@ def write(result: Result, folder: Path) -> list[str]:
         figures["unknowns.png"] = unknowns(result)
     figures |= {f"{each.stem}.png": field(each) for each in result.fields}
     if fits := residuals(result):
-        figures["fit.png"] = draw(fits)
+        figures["fit.png"] = fit(fits)
     if result.posterior is not None:
         figures["posterior.png"] = posterior(result)
     for name, figure in figures.items():
@@ -269,6 +269,35 @@ def pair(axis: Axes, result: Result, first: int, second: int) -> None:
         axis.plot(truth[across.name], truth[up.name], "+", color="black", markersize=10)
     axis.set(xlim=across.bounds, ylim=up.bounds)
     axis.set(xlabel=f"{across.name} [{across.kind.unit}]", ylabel=f"{up.name} [{up.kind.unit}]")
+
+
+def fit(found: Sequence[Residuals]) -> Figure:
+    """A panel for each observation: numbers with their noise over time or place, median and predictive band."""
+    figure, axes = plt.subplots(
+        len(found), 1, figsize=(WIDTH, 0.4 + 2.6 * len(found)), layout="constrained", squeeze=False
+    )
+    for axis, each in zip(axes[:, 0], found, strict=True):
+        label, places = each.part.observation.places
+        order = np.argsort(places, kind="stable")
+        at, low, middle, high = places[order], each.lower[order], each.median[order], each.upper[order]
+        if len(np.unique(at)) == len(at) > 2:
+            axis.fill_between(at, low, high, color=COLOURS["MPM"], alpha=0.25, linewidth=0.0, label="predicted, 95 %")
+            axis.plot(at, middle, color=COLOURS["MPM"], linewidth=1.2, label="median")
+        else:
+            ends = np.maximum([middle - low, high - middle], 0.0)
+            axis.errorbar(
+                at, middle, yerr=ends, fmt="_", color=COLOURS["MPM"], linewidth=5, alpha=0.4, label="predicted, 95 %"
+            )
+        wide = NORMAL * each.noise
+        axis.errorbar(
+            places, each.observed, yerr=wide, fmt="k.", capsize=3, linewidth=0.9, label="observed, noise 95 %"
+        )
+        outside = np.abs(each.standardised) > OUTLIER
+        axis.plot(places[outside], each.observed[outside], "o", color="tab:red", fillstyle="none", label="outlier")
+        unit = each.part.observation.unit
+        axis.set(xlabel=label, ylabel=f"[{unit or '-'}]", title=each.part.name)
+        axis.legend(loc="best")
+    return figure
 
 
 def field(posterior: FieldPosterior) -> Figure:

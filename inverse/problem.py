@@ -13,12 +13,12 @@ from datasets.errors import InputError, keyed, naming, require
 from datasets.files import read_toml
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import INFLOW, Scene
+from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.grid_field import FRICTION, THICKNESS, Floats
 from datasets.scene.library import find, read_scene
 from datasets.scene.particles import released_volume
 from datasets.schema import Record, from_mapping, one_of
 from inverse.observations import KINDS, Observation, ObservationSettings
-from inverse.observations.observation import SmoothObservation
 from inverse.observations.settings import FILES
 from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, check_parameters, check_scene, with_kinds, with_parameters
@@ -293,7 +293,7 @@ class Problem(ProblemKeys):
         released = any(each.settings.quantity == THICKNESS for each in self.fields)
         for index, observation in enumerate(self.observations):
             operator = observation.operator_type
-            weighed = not released or issubclass(operator, SmoothObservation)
+            weighed = not released or operator.dense
             expected = "an observation by the volumes of a run itself (thickness, outline) beside an unknown thickness"
             require(weighed, f"observations[{index}].kind", expected, observation.kind)
             jointly = (operator.of_positions or operator.dense) and not operator.every_particle
@@ -316,10 +316,10 @@ def read_problem(name: str) -> Problem:
         scene = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
         keys = vars(file) | {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
         if scene.domain.origin is None:
-            return Problem(parameters=keys.pop("unknowns"), **keys)
+            return likely(Problem(parameters=keys.pop("unknowns"), **keys))
         keys["observations"] = tuple(each.in_box(scene.domain.corner) for each in file.observations)
         try:
-            return Problem(parameters=keys.pop("unknowns"), **keys)
+            return likely(Problem(parameters=keys.pop("unknowns"), **keys))
         except InputError as error:
             number, _, key = error.key.removeprefix("observations[").partition("]")
             if number == error.key or key[1:] not in ("", *file.observations[int(number)].places):
@@ -327,3 +327,9 @@ def read_problem(name: str) -> Problem:
             place = ", ".join(f"{each:.10g}" for each in scene.domain.origin)
             message = f"{error.message}; lengths count from the corner of the box here, {place} on the map"
             raise InputError(message, key=error.key) from None
+
+
+def likely(problem: Problem) -> Problem:
+    """The same problem; one UserWarning for each number between whose bounds it looks like another unit's."""
+    warn_if_unlikely(problem.scene_at(problem.box.upper))
+    return problem

@@ -1,4 +1,4 @@
-"""The fit, number by number: what was observed beside what the posterior predicts, as tables and as a picture.
+"""The fit, number by number: what was observed beside what the posterior predicts, as a table.
 
     e_i = (y_i - median_i) / s_i,    s_i^2 = p_i^2 + n_i^2
 
@@ -10,9 +10,7 @@ uses the stated one, so that the number is named.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 
 from inverse.inference_data import predictive
 from inverse.observations import Values
@@ -45,17 +43,9 @@ class Residuals:
     """e [-]."""
 
     @property
-    def places(self) -> tuple[str, Values]:
-        """Where or when each number was observed, and what that is."""
-        label, places = self.part.observation.places
-        return (
-            (label, places) if len(places) == len(self.observed) else ("number", np.arange(1.0, len(self.observed) + 1))
-        )
-
-    @property
     def outliers(self) -> list[str]:
         """The numbers that are off by more than `OUTLIER`, in words."""
-        label, places = self.places
+        label, places = self.part.observation.places
         name, unit = label.split(" [")[0], label.partition(" [")[2].rstrip("]")
         return [
             f"{self.part.name} at {name} {place:.4g} {unit}".rstrip() + f" ({off:+.1f})"
@@ -69,7 +59,7 @@ class Residuals:
         order = np.arange(len(self.observed))
         if len(order) > LISTED:
             order = np.sort(np.argsort(-np.abs(self.standardised))[:WORST])
-        label, places = self.places
+        label, places = self.part.observation.places
         return [
             {
                 "observation": self.part.name,
@@ -116,32 +106,3 @@ def outlying(fits: Sequence[Residuals]) -> str:
     named = [name for each in fits for name in each.outliers]
     which = f"off by more than {OUTLIER:g} standard deviations of noise and prediction together"
     return f"Outliers, {which}: {'; '.join(named)}." if named else f"No number is {which}."
-
-
-def draw(found: Sequence[Residuals]) -> Figure:
-    """A panel for each observation: numbers with their noise over time or place, median and predictive band."""
-    figure, axes = plt.subplots(
-        len(found), 1, figsize=(10.0, 0.4 + 2.6 * len(found)), layout="constrained", squeeze=False
-    )
-    for axis, each in zip(axes[:, 0], found, strict=True):
-        label, places = each.places
-        order = np.argsort(places, kind="stable")
-        at, low, middle, high = places[order], each.lower[order], each.median[order], each.upper[order]
-        if len(np.unique(at)) == len(at) > 2:
-            axis.fill_between(at, low, high, color="#1b6ca8", alpha=0.25, linewidth=0.0, label="predicted, 95 %")
-            axis.plot(at, middle, color="#1b6ca8", linewidth=1.2, label="median")
-        else:
-            ends = np.maximum([middle - low, high - middle], 0.0)
-            axis.errorbar(
-                at, middle, yerr=ends, fmt="_", color="#1b6ca8", linewidth=5, alpha=0.4, label="predicted, 95 %"
-            )
-        wide = NORMAL * each.noise
-        axis.errorbar(
-            places, each.observed, yerr=wide, fmt="k.", capsize=3, linewidth=0.9, label="observed, noise 95 %"
-        )
-        outside = np.abs(each.standardised) > OUTLIER
-        axis.plot(places[outside], each.observed[outside], "o", color="tab:red", fillstyle="none", label="outlier")
-        unit = each.part.observation.unit
-        axis.set(xlabel=label, ylabel=f"[{unit or '-'}]", title=each.part.name)
-        axis.legend(loc="best")
-    return figure

@@ -121,7 +121,7 @@ class Result:
 
     @property
     def remarks(self) -> list[str]:
-        """What a user must know of the flow at the first answer (`datasets.flow.caveats`), and whether it drains."""
+        """What must be known of the flow at the first answer (`mpm.output.outcome.caveats`), and whether it drains."""
         checks = self.answers[0].checks
         known = checks[0].trajectory.summary if checks else {}
         return [*known.get("remarks", []), *filter(None, [known.get("drainage")])]

@@ -17,11 +17,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context
-from types import FrameType
 from typing import Any, TypeVar
 
 from datasets.errors import InputError, WorkFailed
-from datasets.files import remove_own_parts
 from datasets.flow.trajectory import Trajectory
 from datasets.processes import end_with_parent, without_main
 from datasets.scene import Scene
@@ -109,20 +107,9 @@ def pool(jobs: int) -> Iterator[Workers]:
 
 
 def begin_worker() -> None:
-    """Make a process of the pool end with its director, who alone answers a Ctrl-C: it goes to the whole terminal.
-
-    A batch system's SIGTERM goes to all; whoever gets it leaves no unfinished file.
-    """
+    """Make a process of the pool end with its director, who alone answers a Ctrl-C: it goes to the whole terminal."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, leave)
-
-
-def leave(number: int, _: FrameType | None) -> None:
-    """End this process by the signal `number`."""
-    remove_own_parts()
-    signal.signal(number, signal.SIG_DFL)
-    signal.raise_signal(number)
 
 
 @contextmanager

@@ -45,21 +45,14 @@ def command(
     Running the same command again finishes what is missing. The files are the same for the same seed, whatever the
     number of jobs.
 
-    Parameters
-    ----------
-    definition
-        flow2d, columns2d, obstacle3d, baffles3d, terrain3d, paper2d, paper3d, or the path of a definition in TOML.
-    out
-        Folder of the dataset: train, valid, test, metadata.json.
-    count
-        How many trajectories, the first ones of the definition; all of them unless given.
-    seed
-        Seed of the dataset.
-    jobs
-        Processes that simulate; one per processor unless given.
-    scheduler
-        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers simulate instead;
-        they need this version of Talus and the folder OUT in the same place.
+    Args:
+        definition: flow2d, columns2d, obstacle3d, baffles3d, terrain3d, paper2d, paper3d, or the path of one in TOML.
+        out: Folder of the dataset: train, valid, test, metadata.json.
+        count: How many trajectories, the first ones of the definition; all of them unless given.
+        seed: Seed of the dataset.
+        jobs: Processes that simulate; one per processor unless given.
+        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers simulate
+            instead; they need this version of Talus and the folder OUT in the same place.
     """
     if scheduler is not None and jobs is not None:
         raise InputError("expected none with --scheduler, whose workers are the jobs", key="--jobs")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from datasets.command_line import run
 from datasets.errors import InputError, naming
 from datasets.exchange.vtk import write_vtk
-from datasets.files import write_json
+from datasets.files import make_folder, write_json
 from datasets.flow.array_files import HDF5, FrameWriter
 from datasets.flow.trajectory import open_trajectory
 from datasets.forces import spoken, write_forces
@@ -83,6 +83,8 @@ def command(
         print(what)
     if last_frame and every is not None:
         raise InputError("expected one of --every and --last-frame, got both", key="--every")
+    if every is not None and every < 1:
+        raise InputError(f"expected a whole number from 1 on, got {every}", key="--every")
     fields = fields or vtk
     record = Recording(
         frames="last" if last_frame else "all" if every is None else every,
@@ -128,6 +130,7 @@ def write_flow(
     work = plan.work * (1.0 if start is None else 1.0 - start.frame / max(1, scene.frames - 1))
     machine: dict[str, Any] = {"processors": workers, "precision": precision, "arch": arch}
     price = expected(scene, work, memory=plan.bytes, until_rest=record.until_rest, **machine)
+    make_folder(out)
     print(f"{plan}; {step_spoken(scene)}; {price}", flush=True)
     with ExitStack() as stack:
         if appended:
@@ -181,6 +184,7 @@ def write_safety(scene: Scene, out: Path, precision: Precision) -> int:
     """Find the factor of safety of a scene; write it, and say it in a line."""
     from mpm.safety import safety_factor
 
+    make_folder(out)
     found = safety_factor(scene, precision=precision, progress=True)
     write_json(out / "safety.json", dataclasses.asdict(found))
     print(

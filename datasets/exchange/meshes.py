@@ -1,30 +1,27 @@
 """Meshes of triangles: read by pyvista, written by meshio."""
 
-import codecs
 import io
 import os
-import subprocess
-import sys
-import tempfile
 import warnings
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import redirect_stderr, redirect_stdout
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 from datasets.errors import InputError, require
-from datasets.files import LARGEST, file_size, reading, replacing
+from datasets.files import LARGEST, decoded, file_size, reading, replacing
 from datasets.geometry.ground import Floats, Integers
 from datasets.geometry.surface import surface_of
-from datasets.processes import end_with_parent
+from datasets.processes import end_with_parent, without_main
 from datasets.scene import Scene
 
 MESHES = (".stl", ".obj", ".ply", ".off", ".msh", ".vtk", ".vtu")
 """Endings of meshes: those that hold all they need and name no other file."""
 IN_PROCESS = (".stl", ".obj")
 """Those whose readers survive any file."""
-REFUSED = 2
-"""Exit status of a process that says what is wrong with a mesh."""
 SAME = (1.0e-9, 1.0e-7, 1.0e-6, 1.0e-5)
 """Distances of vertices that are one, over the extent of the mesh: the first with which its surface is closed."""
 
@@ -69,9 +66,7 @@ def read_obj(path: Path) -> tuple[Floats, Integers]:
 
     Raises InputError for corners that are no vertices, ValueError for what is no number.
     """
-    content = path.read_bytes()
-    encoding = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
-    text = content.decode(encoding, errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
+    text = decoded(path.read_bytes(), errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
     vertices, polygons = list[list[float]](), list[list[int]]()
     for line in text.splitlines():
         kind, *words = line.split("#", 1)[0].split() or [""]
@@ -88,31 +83,18 @@ def read_obj(path: Path) -> tuple[Floats, Integers]:
 
 def read_apart(path: Path) -> tuple[Floats, Integers]:
     """`triangles_in` in a process of its own, which a damaged file may end: VTK trusts the numbers in it."""
-    with tempfile.TemporaryDirectory() as folder:
-        kept = Path(folder) / "mesh.npz"
-        work = "from datasets.exchange.meshes import leave; leave()"
-        command = [sys.executable, "-P", "-c", work, str(path), str(kept)]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)}
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, errors="replace", check=False)
-        if done.returncode == REFUSED:
-            raise InputError(done.stderr.splitlines()[-1])
-        if done.returncode != 0 or not kept.exists():
-            raise InputError("expected a readable mesh, its reader broke off")
-        with np.load(kept, allow_pickle=False) as arrays:
-            return arrays["vertices"], arrays["triangles"]
+    own = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"), initializer=begin_reader)
+    with without_main(), own as process:
+        try:
+            return process.submit(triangles_in, path).result()
+        except BrokenProcessPool:
+            raise InputError("expected a readable mesh, its reader broke off") from None
 
 
-def leave() -> None:
-    """Write what `triangles_in` returns of the first argument of this process to the second, for `read_apart`."""
+def begin_reader() -> None:
+    """Make a process end with the one that started it, and say nothing of its own."""
     end_with_parent()
-    source, target = map(Path, sys.argv[1:])
-    try:
-        with reading(Path(), "a readable mesh"):
-            vertices, triangles = triangles_in(source)
-    except InputError as error:
-        print(error.message, file=sys.stderr)
-        sys.exit(REFUSED)
-    np.savez(target, vertices=vertices, triangles=triangles)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
 def write_surface(scene: Scene, path: Path) -> None:

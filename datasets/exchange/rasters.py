@@ -1,10 +1,9 @@
 """Rasters by rasterio: elevations and thicknesses read, maps written."""
 
-import codecs
 import re
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,8 +15,8 @@ from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.io import MemoryFile
 from rasterio.warp import transform as reprojected
 
-from datasets.errors import WorkFailed, require, shortened
-from datasets.files import LARGEST, file_size, reading, replacing
+from datasets.errors import InputError, WorkFailed, require, shortened
+from datasets.files import LARGEST, MARKS, NEW_LINE, decoded, file_size, reading, replacing
 from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 from datasets.scene.grid_field import Floats
@@ -43,10 +42,21 @@ OTHERS = {
 ASCII rasters."""
 ELSEWHERE = re.compile(rb"/vsi|://|pixelfunction", re.IGNORECASE)
 """What a mosaic (.vrt) may not have: files of other machines and code."""
-MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-"""What text begins with that says how it is encoded."""
+HEADER = re.compile(rb"\s*((ncols|nrows|[xy]ll(corner|center)|cellsize|d[xy]|nodata_value)\s+\S+\s+)*", re.IGNORECASE)
+"""What an ASCII raster begins with; its values follow."""
+VALUES = re.compile(
+    rb"(?:\s*+[+-]?+(?:(?:\d++[.,]?+\d*+|[.,]\d++)(?:e[+-]?+\d++)?+|nan|inf|1\.#\w++|null)(?=\s|$))*+\s*+",
+    re.IGNORECASE,
+)
+"""Numbers as GDAL reads them; of any other word it takes the digits at the beginning, or 0."""
+LOCAL = ("LOCAL_CS", "ENGCRS")
+"""How reference systems in WKT begin that lie nowhere on the earth, as GDAL names that of a raster without any."""
+HEIGHTS = re.compile(r'VERT_CS\[.*UNIT\["([^"]+)",([^\],]+)')
+"""The unit of the heights of a reference system in WKT, and what one is in metres."""
 NO_ELEVATION = 2.0e4
 """Elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38."""
+LONGEST_WORD = 40
+"""Characters of a word that are shown."""
 LENGTH, EARTH = 100.0, 6.371e6
 """Of the map over which its scale is looked at; radius of the earth [m]."""
 DISTORTED = 0.02
@@ -78,17 +88,17 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
     Scale and offset of its band are applied. Values that no elevation or thickness has are no data, also where the file
     does not say so, which a warning then does; of `coefficients`, which are no lengths, UNDECLARED ones alone.
     """
-    file_size(path, "a raster", most=LARGEST)
-    with reading(path, "a readable raster"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with opened(path) as file:
-            require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
-            georeferenced = not file.transform.is_identity
-            transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
-            scale, offset = float(file.scales[0]), float(file.offsets[0])
-            masked = file.read(1, masked=True).astype(np.float64)
+    with opened(path) as file:
+        require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
+        if file.driver == "AAIGrid":
+            check_values(plain_text(path), file.width * file.height)
+        georeferenced = not file.transform.is_identity
+        transform, crs, bands, unit = file.transform, system_of(file), file.count, file.units[0]
+        scale, offset = float(file.scales[0]), float(file.offsets[0])
+        masked = file.read(1, masked=True).astype(np.float64)
     require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
     require(bands == 1, "", "a raster of one band", bands)
+    unit = (height_unit(crs) if crs else "") or unit
     known_unit = coefficients or unit is None or unit.lower() in METRES
     require(known_unit, "", "elevations in metres", repr(unit))
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
@@ -125,36 +135,59 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
 
 def raster_system(path: Path) -> str | None:
     """The reference system that a raster names, as an authority's code or in WKT. Raises InputError."""
-    file_size(path, "a raster", most=LARGEST)
-    with reading(path, "a readable raster"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with opened(path) as file:
-            return str(file.crs.to_string()) if file.crs else None
+    with opened(path) as file:
+        crs = system_of(file)
+        return str(crs.to_string()) if crs else None
+
+
+def system_of(file: Any) -> CRS | None:
+    """The reference system of a raster; None where it has none on the earth, but one of a site in metres."""
+    crs = file.crs
+    return None if crs and crs.to_wkt().startswith(LOCAL) and crs.units_factor[1] == 1.0 else crs
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """A raster as rasterio has it; a mosaic (.vrt) opens the files that it names, on this machine alone."""
-    with path.open("rb") as raw:
-        head = raw.read(4)
-    if driver := OTHERS.get(path.suffix.lower()) or OTHERS.get(head):
+    """A raster as rasterio has it; a mosaic (.vrt) opens the files that it names, on this machine alone.
+
+    Raises InputError for what goes wrong in the block, too.
+    """
+    file_size(path, "a raster", most=LARGEST)
+    with reading(path, "a readable raster"), warnings.catch_warnings(), ExitStack() as stack:
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with path.open("rb") as raw:
+            head = raw.read(4)
+        plain = "GTiff" if head[:2] in (b"II", b"MM") else "AAIGrid"
+        driver = OTHERS.get(path.suffix.lower()) or OTHERS.get(head) or plain
         here = driver != "VRT" or not ELSEWHERE.search(path.read_bytes())
         require(here, "", "a mosaic of files of this machine, without functions", "another one")
-        with rasterio.open(path.resolve(), driver=driver) as file:
-            yield file
-        return
-    # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
-    is_text = head[:2] not in (b"II", b"MM")
-    options = {"driver": "AAIGrid", "DATATYPE": "Float64"} if is_text else {"driver": "GTiff"}
-    encoding = next((name for mark, name in MARKS.items() if head.startswith(mark)), None)
-    if encoding is not None:
-        # The driver knows plain text alone.
-        plain = path.read_bytes().decode(encoding).encode()
-        with MemoryFile(plain, ext=".asc") as memory, memory.open(**options) as file:
-            yield file
-    else:
-        with rasterio.open(path.resolve(), **options) as file:
-            yield file
+        # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
+        options = {"driver": driver} | ({"DATATYPE": "Float64"} if driver == "AAIGrid" else {})
+        if head.startswith(tuple(MARKS)):
+            # The driver knows plain text alone.
+            yield stack.enter_context(stack.enter_context(MemoryFile(plain_text(path), ext=".asc")).open(**options))
+        else:
+            yield stack.enter_context(rasterio.open(path.resolve(), **options))
+
+
+def plain_text(path: Path) -> bytes:
+    """The text of a file without a mark of how it is encoded."""
+    raw = path.read_bytes()
+    return decoded(raw).encode() if raw.startswith(tuple(MARKS)) else raw
+
+
+def check_values(text: bytes, count: int) -> None:
+    """Raise InputError unless the text of an ASCII raster has so many values and all of them are numbers."""
+    header = HEADER.match(text)
+    begin = 0 if header is None else header.end()
+    numbers = VALUES.match(text, begin)
+    end = begin if numbers is None else numbers.end()
+    if end < len(text):
+        got = text[end : end + LONGEST_WORD].split()[0].decode(errors="replace")
+        raise InputError(f"expected numbers, got {got!r} in line {text.count(NEW_LINE, 0, end) + 1}")
+    blank = np.frombuffer(text, np.uint8)[begin:] <= ord(" ")
+    found = int(np.count_nonzero(blank[:-1] & ~blank[1:])) + int(not blank[:1].all())
+    require(found == count, "", f"{count} values, as the header says", found)
 
 
 def beyond_cliffs(values: Floats, step: float) -> NDArray[np.bool_]:
@@ -171,6 +204,12 @@ def beyond_cliffs(values: Floats, step: float) -> NDArray[np.bool_]:
         if above - below > step:
             beyond |= values <= below if middle > below else values >= above
     return beyond
+
+
+def height_unit(crs: CRS) -> str:
+    """What a reference system names the unit of its heights; empty of metres, and where it has none."""
+    found = HEIGHTS.search(crs.to_wkt())
+    return found[1] if found and float(found[2]) != 1.0 else ""
 
 
 def check_lengths(crs: Any, east: float, north: float) -> None:
@@ -193,7 +232,7 @@ def known_system(crs: str) -> str:
     except CRSError:
         found = None
     unit = "" if found is None else "degrees" if found.is_geographic else str(found.linear_units)
-    metres = unit.lower() in METRES[1:]
+    metres = found is not None and unit.lower() in METRES[1:] and not height_unit(found)
     require(metres, "crs", "a projected coordinate system in metres, such as 'EPSG:2056'", repr(shortened(crs, 60)))
     return crs if found is None else str(found.to_string())
 
@@ -241,9 +280,3 @@ def write_raster(
                 raster.set_band_unit(1, unit)
     except RasterioError as error:
         raise WorkFailed(f"{path.name} could not be written: {error}") from None
-
-
-def name_in_geojson(crs: str) -> str:
-    """A reference system as GDAL names it in GeoJSON."""
-    known = CRS.from_user_input(crs).to_authority()
-    return crs if known is None else f"urn:ogc:def:crs:{known[0]}::{known[1]}"

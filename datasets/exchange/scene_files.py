@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from datasets.errors import InputError, keyed, require
+from datasets.errors import InputError, keyed, naming, require
 from datasets.exchange.map_box import plan_around, posts_of, with_elevations
 from datasets.exchange.meshes import read_mesh
 from datasets.exchange.spreadsheet import read_columns
@@ -81,14 +81,14 @@ class Reader:
         if isinstance(entry.get(name), str):
             path = self.folder / entry.pop(name)
             scale, at = placement(entry, key)
-            try:
+            with naming(path, f"{key}.{name}"):
                 if kind == "mesh":
                     vertices, triangles = read_mesh(path)
                     vertices = scale * vertices + np.array(at or [0.0, 0.0, 0.0], np.float64)
                     vertices, triangles = outward(vertices, triangles, "")
                     found = {"vertices": vertices.tolist(), "triangles": triangles.tolist()}
                 elif kind == INFLOW:
-                    require(at is None, "at", "no such key beside a hydrograph", "one")
+                    require(at is None, f"{key}.at", "no such key beside a hydrograph", "one")
                     columns = read_columns(path, ("time", "discharge", "speed"))
                     rows = [columns[name] for name in ("time", "discharge", "speed")]
                     found = {"hydrograph": np.stack(rows, axis=1).tolist()}
@@ -102,18 +102,14 @@ class Reader:
                         found["friction"] = columns["friction"].tolist()
                 else:
                     raise InputError("expected a number; a raster only of a layer in 3D")
-            except InputError as error:
-                raise InputError(error.message, where=error.where or str(path), key=f"{key}.{name}") from None
             refuse(entry, tuple(found), key, "no such key beside a file that has it")
             entry |= found
         refuse(entry, ("scale", "at"), key)
         for name in BED if kind == "terrain" and len(self.size) == 3 else ():
             if isinstance(entry.get(name), str):
                 path = self.folder / entry[name]
-                try:
+                with naming(path, f"{key}.{name}"):
                     entry[name] = self.at_posts(path, entry)
-                except InputError as error:
-                    raise InputError(error.message, where=error.where or str(path), key=f"{key}.{name}") from None
         return entry
 
     def at_posts(self, path: Path, terrain: Entry) -> Any:

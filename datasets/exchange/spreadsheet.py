@@ -33,6 +33,8 @@ UNITS = {
 """Of each quantity: its units, and what one is in SI."""
 NAMED = re.compile(r"(?P<name>[^\[(]*?)\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\))?\s*")
 """A column's header: its name, and perhaps its unit in brackets."""
+CONTROL = dict.fromkeys((*range(32), 127), "?")
+"""Characters that a terminal does not show: of a file that is no text."""
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
 
 
@@ -45,14 +47,14 @@ def read_columns(
     metres: float = 1.0,
     blanks: bool = False,
 ) -> dict[str, NDArray[np.float64]]:
-    """Columns of a table with a header, each of shape [R]: `needed` ones and the `optional` ones that are there.
+    """Columns of a table with a header, each of shape [R]: `needed` ones, then `optional` ones that are there.
 
     others: whether the file may have more columns, of anything. metres: the length in which columns without a unit of
     their own are, and in which those that have one are returned; times are in seconds. blanks: whether empty rows and
     cells are NaN; else rows are left out, cells refused. Lines that begin with # are comments. Raises InputError, which
     names the file.
     """
-    text = read_text(path, "a CSV")
+    text = read_text(path, "a CSV", windows=True)
     with reading(path, "a readable CSV"):
         lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line[:1] != "#"]
         lines = [each for each in lines if blanks or each[1].strip()]
@@ -69,9 +71,9 @@ def read_columns(
         while header and not header[-1]:
             header.pop()
         names, factors, units = described(header, metres)
-        got = ", ".join(header)[:LONGEST_LINE] or "an empty file"
+        got = ", ".join(header)[:LONGEST_LINE].translate(CONTROL) or "an empty file"
         require(set(needed) <= set(names), "", f"a header with the columns `{'`, `'.join(needed)}`", got)
-        known = [name for name in names if name in (*needed, *optional)]
+        known = [name for name in (*needed, *optional) for _ in range(names.count(name))]
         unknown = [name for name in names if name not in known]
         expected = "`, `".join((*needed, *optional))
         require(others or not unknown, "", f"no other columns than `{expected}`", f"`{', '.join(unknown)}`")
@@ -91,11 +93,16 @@ def read_columns(
 
 
 def described(header: Sequence[str], metres: float) -> tuple[list[str], list[float | None], list[str]]:
-    """Names of columns, factors on their numbers (None: of no known unit), and their units, empty where absent."""
+    """Names of columns, factors on their numbers (None: of no known unit), and their units, empty where absent.
+
+    A name is in lower case unless another column has it so.
+    """
     names, factors, units = [], list[float | None](), []
-    for cell in header:
-        found = NAMED.fullmatch(cell)
-        name, unit = (cell, "") if found is None else (found["name"], (found["square"] or found["round"] or "").strip())
+    parts = [(cell, NAMED.fullmatch(cell)) for cell in header]
+    spelled = [cell if found is None else found["name"] for cell, found in parts]
+    for name, (_, found) in zip(spelled, parts, strict=True):
+        unit = "" if found is None else (found["square"] or found["round"] or "").strip()
+        name = name if name.lower() in spelled else name.lower()
         quantity = name if name in UNITS else "length"
         factor = UNITS[quantity].get(unit) if unit else 1.0
         names.append(name)

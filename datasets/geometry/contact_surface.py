@@ -120,8 +120,7 @@ def contact_surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[st
     field = height_field(solids[number], keys[number], number, domain)
     others = [index for index in range(len(solids)) if index != number]
     if not others:
-        some = field.triangles(*np.array([[field.x[0], field.z[0]]] * 2))
-        return ContactSurface(faces=some.chosen(np.zeros(len(some.corners), bool)), field=field)
+        return ContactSurface(faces=Surface.empty(3), field=field)
     bodies = [body_of(solids[index], keys[index], domain) for index in others]
     found = boundary(bodies, CLOSING * domain.cell)
     kept = near_box(found, domain)

@@ -134,6 +134,15 @@ def extended(at: Floats, values: Floats, length: float, beyond: float) -> tuple[
     return at, values, place
 
 
+def lowest_ground(domain: Domain, solid: Solid, key: str) -> float:
+    """The least elevation of a terrain in the box [m], in 3D at its posts. Raises InputError as `ground_grid`."""
+    axes, heights, _ = ground_grid(solid, key, domain)
+    if domain.dimension == 2:
+        return float(np.interp(np.clip(axes[0], 0.0, domain.size[0]), axes[0], heights).min())
+    within = [(axis >= 0.0) & (axis <= length) for axis, length in zip(axes, domain.size[::2], strict=True)]
+    return float(heights[np.ix_(*within)].min(initial=0.0))
+
+
 def first_diagonal(values: Floats) -> NDArray[np.bool_]:
     """Whether the triangles of each cell of a grid [X, Z] meet along its first corner's diagonal, [X - 1, Z - 1].
 

@@ -58,6 +58,12 @@ class Surface:
     friction: Floats
     """Coulomb coefficient at the corners [-], linear between them; inf without slip; shape [F, D]."""
 
+    @classmethod
+    def empty(cls, dimension: int) -> "Surface":
+        """That of nothing."""
+        corners, edges = np.zeros((0, dimension, dimension)), np.zeros((0, 3, 3) if dimension == 3 else (0, 0, 2))
+        return cls(corners, corners[:, 0], corners, edges, np.zeros(0, np.int32), corners[:, 0])
+
     @property
     def dimension(self) -> int:
         """2 or 3."""

@@ -30,6 +30,8 @@ SMALL_ANGLE = 3.0
 """Angle of friction [deg] below which no sand is: one in radians is."""
 SLACK = 1.0e-3
 """Relative, of a limit that a user wrote in decimals."""
+LIGHT, WATER = 30.0, 1000.0
+"""Density [kg/m^3] below which no soil and no snow is; that of water."""
 SOFTEST = 10.0
 """Young's modulus over the pressure rho g h under a body, below which it sinks by a twentieth of its height or more."""
 
@@ -300,8 +302,9 @@ def check_thickness(scene: SceneLayout, field: Field, key: str) -> None:
 
 
 def warn_if_unlikely(scene: SceneLayout) -> None:
-    """One UserWarning for each number that looks like another unit's (radians, MPa, mm) and layer that the box cuts."""
+    """One UserWarning for each number that looks like another unit's (radians, MPa, mm) and what the box cuts off."""
     from datasets.geometry.bodies import Plan, height
+    from datasets.geometry.ground import TOUCHING, lowest_ground
 
     for key, mass in keyed(scene, "masses").items():
         lost = Plan(mass, scene.domain, key).lost if mass.kind == "layer" else 0.0
@@ -314,6 +317,13 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
                 f"{thick:g} m is {thick / long:.2g} times the length of the layer; in cm it would be {thick / 100:g} m"
             )
             warnings.warn(f"{key}.thickness: {said}", stacklevel=3)
+    terrains = [(key, solid) for key, solid in keyed(scene, "solids").items() if solid.kind == "terrain"]
+    # Of several the highest is the ground.
+    for key, solid in terrains if len(terrains) == 1 else ():
+        lowest = lowest_ground(scene.domain, solid, key)
+        if lowest < -TOUCHING:
+            said = f"falls {-lowest:.3g} m below the floor of the box, which is the ground there"
+            warnings.warn(f"{key}: the terrain {said}, of floor_friction = {scene.floor_friction}", stacklevel=3)
     surfaces = {key: each.friction for key, each in keyed(scene, "baffles", "solids").items()}
     surfaces |= {name: getattr(scene, name) for name in ("floor_friction", "wall_friction", "baffle_friction")}
     for key, friction in surfaces.items():
@@ -330,6 +340,12 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
             radians = math.degrees(material.friction_deg)
             hint = f"; in radians it would be {radians:.3g} degrees" if radians < 60.0 else ""
             lines.append(f"friction_deg = {material.friction_deg:g} degrees is less than any sand's{hint}")
+        if material.density < LIGHT:
+            unit, factor = ("g/cm^3", WATER) if material.density < 5.0 else ("kN/m^3", WATER / 9.81)
+            light = f"density = {material.density:g} kg/m^3 is less than any soil's or snow's"
+            lines.append(f"{light}; in {unit} it would be {factor * material.density:.4g} kg/m^3")
+        elif material.saturated and material.density <= WATER:
+            lines.append(f"density = {material.density:g} kg/m^3, of grains and water, is no more than water's")
         if (grain := material.grain_diameter or 0.0) > scene.domain.cell:
             lines.append(f"grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m")
         heights = [height(scene, mass) for mass in scene.masses if scene.material_of(mass) == material]

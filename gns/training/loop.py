@@ -242,8 +242,7 @@ class TrainingRun:
         }
         row |= {name: round(mean, 4) for name, mean in amounts(scores).items()}
         position.rows.append(row)
-        # A run that is resumed may have older rows of fewer columns.
-        lines = [row, *([each.get(name, "") for name in row] for each in position.rows)]
+        lines = [row, *(each.values() for each in position.rows)]
         files.write_text(out / "log.csv", "".join(",".join(map(str, line)) + "\n" for line in lines))
         draw(out / "log.png", position)
         tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))

@@ -13,14 +13,14 @@ from datasets.errors import require
 from datasets.flow import measures
 from datasets.scene import Scene
 from datasets.scene.particles import particle_volumes
-from inverse.observations.observation import Numbers, Observation, Values, fitted_tail
-from inverse.observations.settings import LengthsSettings, ObservationSettings
+from inverse.observations.observation import Numbers, Observation, SmoothObservation, Values, fitted_tail
+from inverse.observations.settings import LengthsSettings, ObservationSettings, SeriesSettings
 
 SHARE_SCATTER = 0.005
 """Standard deviation of a share from flow to flow [-], before an ensemble has measured it."""
 
 
-class Front(Observation):
+class Front(SmoothObservation):
     """The x that 99.5 % of the volume is behind, by a fit (`measures.front`)."""
 
     kind = "front"
@@ -30,9 +30,6 @@ class Front(Observation):
         super().__init__(scene, times)
         self.limits = (0.0, scene.domain.size[0])
 
-    def exact(self, positions: NDArray[np.floating]) -> Values:
-        return np.array([measures.front(positions, particle_volumes(self.scene, len(positions)))])
-
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         return fitted_tail(positions[:, 0], volumes).reshape(1)
 
@@ -41,15 +38,8 @@ class Front(Observation):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrontSettings(LengthsSettings):
-    """Of `Front`; the table has time and front."""
-
-    value: float | None = None
-    """In the end [m]."""
-    values: tuple[float, ...] | None = None
-    """One [m] for each of `times`."""
-    times: tuple[float, ...] | None = None
-    """When [s] after the start; where absent, in the end."""
+class FrontSettings(SeriesSettings, LengthsSettings):
+    """Of `Front` [m]; the table has time and front."""
 
     operator_type, options = Front, ("times",)
     places: ClassVar = {"value": 0, "values": 0}
@@ -178,7 +168,7 @@ class PassedSettings(ObservationSettings):
     places: ClassVar = {"line": 0}
 
 
-class FinalPositions(Observation):
+class FinalPositions(SmoothObservation):
     """The final position of every particle followed, N D numbers; the misfit is the paper's mean |p - p_target|^2."""
 
     kind = "deposit"
@@ -188,9 +178,6 @@ class FinalPositions(Observation):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
         self.components = scene.dimension
-
-    def exact(self, positions: NDArray[np.floating]) -> Values:
-        return np.asarray(positions.astype(np.float64).ravel())
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         return positions.double().flatten()

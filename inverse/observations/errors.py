@@ -60,8 +60,7 @@ class Noise:
             if not 0.0 < share < 1.0:
                 raise InputError(f"expected a number or a percentage such as 3%, got {noise.strip()!r}", key="noise")
             return cls(share=share)
-        if noise < 0.0:
-            raise InputError(f"expected a standard deviation of at least 0, got {noise:g}", key="noise")
+        require(0.0 <= noise < math.inf, "noise", "a standard deviation of at least 0", f"{noise:g}")
         return cls(deviation=noise)
 
     def of(self, numbers: Floats) -> Floats:

@@ -16,20 +16,17 @@ from datasets.flow.trajectory import solid_names
 from datasets.geometry.ground import elevation
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
+from datasets.scene.parts import Length
 from datasets.scene.water import saturated
 from inverse.observations.measured_profile import require_inside
-from inverse.observations.observation import Numbers, Rollout, SmoothObservation, Values, at_times, relative_scatter
-from inverse.observations.settings import LengthsSettings, ObservationSettings, TabulatedSettings
+from inverse.observations.observation import Numbers, Observation, Rollout, SmoothObservation, Values, at_times
+from inverse.observations.settings import LengthsSettings, ObservationSettings, SeriesSettings
 
 SPACING = 0.02
 """Half width over which a gauge takes the mean height [m]."""
 AROUND, LEAST, FLAT = 2.0, 0.05, 1.0e-3
 """Half width over which a gauge takes a pressure [cells], share of it that is filled below which it is no flow, and
 variance of heights over the square of that width that does not count as a slope."""
-PRESSURE_SCATTER = 0.05
-"""Standard deviation of a pore pressure from flow to flow over its value, until an ensemble has measured it."""
-IMPULSE_SCATTER = 0.05
-"""Standard deviation of an impulse from flow to flow over its value, until an ensemble has measured it."""
 
 
 class Gauges(SmoothObservation):
@@ -50,12 +47,13 @@ class Gauges(SmoothObservation):
         super().__init__(scene, times)
         require(x is not None, "x", "the x [m] of the gauges", "none")
         self.x = require_inside(np.array(x), scene.domain.size[0])
-        if self.times is not None and len(self.times) != len(self.x):
-            # Every gauge at every time, one gauge after the other.
-            self.x, self.times = np.repeat(self.x, len(self.times)), np.tile(self.times, len(self.x))
+        if self.times is not None:
+            self.x, self.times = read_at(self.x, self.times)
         inside = z is None or (scene.dimension == 3 and 0.0 <= z <= scene.domain.size[2])
         require(inside, "z", "a z inside a box in 3D", z)
         self.z, self.spacing, self.count = z, spacing, len(self.x)
+        # Above or below its datum a gauge at dry ground errs by little; heights in another unit lie beyond the box.
+        self.limits = (-scene.domain.size[1], scene.domain.size[1])
         self.area = hat_area(self.x, self.spacing, scene.domain.size[0])
         if scene.dimension == 3:
             width = scene.domain.size[2]
@@ -90,7 +88,7 @@ class GaugesSettings(LengthsSettings):
     """Of the gauges in 3D [m]; where absent they take the mean across the flow."""
     times: tuple[float, ...] | None = None
     """When [s] after the start; where absent, in the end."""
-    spacing: float = SPACING
+    spacing: Length = SPACING
     """Half width over which a gauge takes the mean height [m]."""
     datum: float = 0.0
     """Height of the floor in a table [`unit`]."""
@@ -99,6 +97,9 @@ class GaugesSettings(LengthsSettings):
     places: ClassVar = {"x": 0, "z": 2}
     columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
+
+    def operator(self, scene: Scene) -> Observation:
+        return self.operator_type(scene, z=self.z, spacing=self.spacing, **every_time(self, "x"))
 
     def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
         table = super().table(path, needed, optional)
@@ -110,7 +111,7 @@ class Impulse(SmoothObservation):
 
     kind = "impulse"
     label = "the impulse on a solid"
-    unit = "N s"
+    unit, scatter = "N s", 0.05
     over_time, of_positions = True, False
 
     def __init__(self, scene: Scene, *, solid: int | str = 0, axis: int = 0, times: Numbers = None) -> None:
@@ -138,24 +139,15 @@ class Impulse(SmoothObservation):
             raise InputError(f"expected a run that recorded the impulse on solid {self.solid}, it did not")
         return impulses[:, self.solid, self.axis]
 
-    def prior_scatter(self, values: Values) -> Values:
-        return relative_scatter(values, IMPULSE_SCATTER)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ImpulseSettings(TabulatedSettings):
-    """Of `Impulse`; the table has time and impulse."""
+class ImpulseSettings(SeriesSettings):
+    """Of `Impulse` [N s], in 2D per metre of width; the table has time and impulse."""
 
-    value: float | None = None
-    """In the end [N s], in 2D per metre of width."""
-    values: tuple[float, ...] | None = None
-    """One for each of `times`."""
     solid: int | str = 0
     """Which solid, by its name or its number: the baffles, from 0, then the other solids."""
     axis: int = 0
     """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
-    times: tuple[float, ...] | None = None
-    """When [s] after the start; where absent, in the end."""
 
     operator_type, options = Impulse, ("solid", "axis", "times")
     columns: ClassVar = {"time": "times", "impulse": "values"}
@@ -216,7 +208,7 @@ class PorePressure(SmoothObservation):
 
     kind = "pore-pressure"
     label = "the pore pressure at gauges"
-    unit = "Pa"
+    unit, scatter = "Pa", 0.05
     limits = (0.0, math.inf)
     over_time, of_positions, of_water = True, False, True
 
@@ -244,13 +236,11 @@ class PorePressure(SmoothObservation):
         if y is None:
             plan = np.stack([columns[key] for key in "xz" if key in columns], axis=1)
             columns["y"] = elevation(scene.solids, scene.domain, plan)
-        gauges, own = np.stack([columns[key] for key in "xyz" if key in columns], axis=1), np.array(times)
-        if len(own) != len(gauges):
-            # Every gauge at every time, one gauge after the other.
-            gauges, own = np.repeat(gauges, len(own), axis=0), np.tile(own, len(gauges))
+        places = np.stack([columns[key] for key in "xyz" if key in columns], axis=1)
+        gauges, self.times = read_at(places, np.array(times))
         self.gauges, self.which = np.unique(gauges, axis=0, return_inverse=True)
         self.spacing = AROUND * scene.domain.cell if spacing is None else spacing
-        self.times, self.count = own, len(own)
+        self.count = len(self.times)
 
     @property
     def places(self) -> tuple[str, Values]:
@@ -280,9 +270,6 @@ class PorePressure(SmoothObservation):
         slope = (weight * across * p[:, None]).sum(dim=0) / ((weight * across**2).sum(dim=0) + FLAT * total + 1.0e-30)
         return share.clamp(max=1.0) * (mean - slope * middle).clamp(min=0.0)
 
-    def prior_scatter(self, values: Values) -> Values:
-        return relative_scatter(values, PRESSURE_SCATTER)
-
 
 @dataclass(frozen=True, kw_only=True)
 class PorePressureSettings(LengthsSettings):
@@ -298,13 +285,36 @@ class PorePressureSettings(LengthsSettings):
     """In 3D [m]."""
     times: tuple[float, ...] | None = None
     """When [s] after the start."""
-    spacing: float | None = None
+    spacing: Length | None = None
     """Half width over which a gauge takes the mean [m]; two cells where absent."""
 
     operator_type, options = PorePressure, ("x", "y", "z", "times", "spacing")
     places: ClassVar = {"x": 0, "y": 1, "z": 2}
     columns: ClassVar = {"time": "times", "pressure": "values", "x": "x", "y": "y", "z": "z"}
     optional = ("x", "y", "z")
+
+    def operator(self, scene: Scene) -> Observation:
+        return self.operator_type(scene, spacing=self.spacing, **every_time(self, "x", "y", "z"))
+
+
+def every_time(settings: GaugesSettings | PorePressureSettings, *places: str) -> dict[str, Any]:
+    """`places` and `times` of gauges, one for each value where as many gauges as times have a value each at each.
+
+    Otherwise as they are: of other numbers of gauges and times every gauge stands for every time.
+    """
+    times, count = settings.times, len(settings.x or ())
+    found = {name: getattr(settings, name) for name in places}
+    if times is None or len(times) != count or len(settings.values or ()) != count**2:
+        return found | {"times": times}
+    found = {name: None if at is None else tuple(np.repeat(at, count).tolist()) for name, at in found.items()}
+    return found | {"times": times * count}
+
+
+def read_at(gauges: Floats, times: Values) -> tuple[Floats, Values]:
+    """Gauges [G, ...] and times [s]: one for each, or every gauge at every time, one gauge after the other."""
+    if len(times) == len(gauges):
+        return gauges, times
+    return np.repeat(gauges, len(times), axis=0), np.tile(times, len(gauges))
 
 
 def hat_area(x: Values, spacing: float, length: float) -> Values:

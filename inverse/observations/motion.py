@@ -11,21 +11,12 @@ from torch import Tensor
 from datasets.errors import require
 from datasets.geometry.placement import corners
 from datasets.scene import Scene
+from datasets.scene.parts import Length
 from inverse.observations.gauges import SPACING, Gauges
 from inverse.observations.measured_profile import require_inside
-from inverse.observations.observation import (
-    Numbers,
-    Rollout,
-    SmoothObservation,
-    Values,
-    at_times,
-    fitted_tail,
-    relative_scatter,
-)
-from inverse.observations.settings import LengthsSettings, TabulatedSettings
+from inverse.observations.observation import Numbers, Rollout, SmoothObservation, Values, at_times, fitted_tail
+from inverse.observations.settings import LengthsSettings, SeriesSettings
 
-ARRIVAL_SCATTER, SPEED_SCATTER = 0.02, 0.05
-"""Standard deviations from flow to flow over the value, until an ensemble has measured them."""
 LAYER = 0.5
 """Of a layer of particles. Where less material than this is at the place, its speed counts in proportion: a single
 particle is no flow."""
@@ -43,7 +34,7 @@ class Arrival(SmoothObservation):
 
     kind = "arrival"
     label = "the time at which the flow arrives"
-    unit = "s"
+    unit, scatter = "s", 0.02
     over_time = True
 
     def __init__(
@@ -57,7 +48,6 @@ class Arrival(SmoothObservation):
     ) -> None:
         super().__init__(scene)
         require(x is not None, "x", "the x [m] that the flow reaches", "none")
-        require(thickness is None or thickness > 0.0, "thickness", "a thickness above 0 m", thickness)
         require(z is None or thickness is not None, "thickness", "a thickness, above which the flow is at z", "none")
         self.x, self.thickness = require_inside(np.array(x), scene.domain.size[0]), thickness
         self.gauges = None if thickness is None else Gauges(scene, x, z=z, spacing=spacing)
@@ -74,9 +64,6 @@ class Arrival(SmoothObservation):
         heights = torch.stack([self.gauges.smooth(frame, rollout.volumes) for frame in rollout.positions])
         level = float(self.thickness or 0.0)
         return torch.stack([first_passage(series, rollout.times, level) for series in heights.T])
-
-    def prior_scatter(self, values: Values) -> Values:
-        return relative_scatter(values, ARRIVAL_SCATTER)
 
 
 def first_passage(series: Tensor, time: Values, level: float) -> Tensor:
@@ -106,9 +93,9 @@ class ArrivalSettings(LengthsSettings):
     """What the flow reaches [m], where they are not in a table."""
     z: float | None = None
     """In 3D with a thickness: where across the flow [m]; where absent its mean counts."""
-    thickness: float | None = None
+    thickness: Length | None = None
     """Height above which the flow is there [m]; where absent the front arrives."""
-    spacing: float = SPACING
+    spacing: Length = SPACING
     """Half width over which this height is a mean [m]."""
 
     operator_type, options = Arrival, ("x", "z", "thickness", "spacing")
@@ -128,7 +115,7 @@ class Speed(SmoothObservation):
 
     kind = "speed"
     label = "the speed of the flow at a place"
-    unit = "m/s"
+    unit, scatter = "m/s", 0.05
     limits = (0.0, math.inf)
     over_time = True
 
@@ -176,24 +163,15 @@ class Speed(SmoothObservation):
         mean: Tensor = (weight @ moved) / weight.sum().clamp(min=self.least)
         return mean
 
-    def prior_scatter(self, values: Values) -> Values:
-        return relative_scatter(values, SPEED_SCATTER)
-
 
 @dataclass(frozen=True, kw_only=True)
-class SpeedSettings(TabulatedSettings):
-    """Of `Speed`; the table has time and speed."""
+class SpeedSettings(SeriesSettings):
+    """Of `Speed` [m/s], where no times are given the largest over time; the table has time and speed."""
 
-    value: float | None = None
-    """The largest over time [m/s]."""
-    values: tuple[float, ...] | None = None
-    """One [m/s] for each of `times`."""
     x: tuple[float, ...]
     """Between which two x [m]."""
     z: tuple[float, ...] | None = None
     """Between which two z in 3D [m]; over the whole width where absent."""
-    times: tuple[float, ...] | None = None
-    """When [s] after the start; where absent, the largest speed over time."""
     window: float | None = None
     """Time over which a particle's speed is a mean [s]; a frame of the scene where absent."""
 

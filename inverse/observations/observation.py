@@ -30,6 +30,8 @@ LONG = 1.0e4
 """Numbers from here on are written without decimals."""
 SCATTER_CELLS = 0.25
 """Standard deviation of a length from flow to flow, before an ensemble has measured it, in cells."""
+SMALL = 0.1
+"""Of the largest number: smaller ones scatter as much as this where they scatter in proportion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +70,8 @@ class Observation:
     """As reports call it."""
     unit: ClassVar[str] = "m"
     """Of the numbers; empty for a share."""
+    scatter: ClassVar[float | None] = None
+    """Standard deviation from flow to flow over a number, before an ensemble has measured it; of lengths None."""
     limits: tuple[Any, Any] = (-math.inf, math.inf)
     """Between which its numbers are possible."""
     every_particle: ClassVar[bool] = False
@@ -151,7 +155,9 @@ class Observation:
 
     def prior_scatter(self, values: Values) -> Values:
         """Expected standard deviation of each of `values` [M] from flow to flow, shape [M]."""
-        return np.full(len(values), SCATTER_CELLS * self.scene.domain.cell)
+        if self.scatter is None:
+            return np.full(len(values), SCATTER_CELLS * self.scene.domain.cell)
+        return np.asarray(self.scatter * np.maximum(np.abs(values), SMALL * np.abs(values).max()))
 
     def text(self, values: Values) -> str:
         """The numbers in words."""
@@ -230,11 +236,6 @@ def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: V
     between = zip(before.tolist(), after.tolist(), share.tolist(), strict=True)
     rows = [operator((1.0 - s) * series[b] + s * series[a]) for b, a, s in between]
     return torch.stack(rows)[torch.from_numpy(which)] if isinstance(rows[0], Tensor) else np.stack(rows)[which]
-
-
-def relative_scatter(values: Values, share: float) -> Values:
-    """`share` of each of `values` [M], of small ones that of a tenth of the largest, shape [M]."""
-    return np.asarray(share * np.maximum(np.abs(values), 0.1 * np.abs(values).max()))
 
 
 def fitted_tail(values: Tensor, volumes: Tensor) -> Tensor:

@@ -19,15 +19,15 @@ from torch import Tensor
 
 from datasets.errors import InputError, naming, require
 from datasets.exchange.vectors import read_polygons
-from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory
 from datasets.maps import least_thickness, map_corner, region_above
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
-from datasets.scene.particles import mass_centroids, mass_volumes, particle_volumes
+from datasets.scene.particles import mass_centroids, mass_volumes
+from datasets.scene.parts import Length
 from inverse.observations.errors import Covariance, Noise
 from inverse.observations.observation import Numbers, Observation, SmoothObservation, Values, fitted_tail
-from inverse.observations.plan import plan_grid, volume_over
+from inverse.observations.plan import plan_grid, plan_sides, volume_over
 from inverse.observations.settings import LengthsSettings
 from inverse.observations.target import Target
 
@@ -43,7 +43,7 @@ TVERSKY = (0.3, 0.7)
 """Weights of what the model alone covers, and of what it misses, which is worse."""
 
 
-class Extents(Observation):
+class Extents(SmoothObservation):
     """The extent of a deposit in 3D from the centroid c of its masses along directions n of the plan.
 
     What a front is along x, of (p - c) . n: the support function of the outline, robust against single particles.
@@ -54,18 +54,13 @@ class Extents(Observation):
 
     def __init__(self, scene: Scene, directions_deg: Numbers = None) -> None:
         super().__init__(scene)
-        require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
+        plan_sides(scene)
         angles = np.deg2rad(DIRECTIONS_DEG if directions_deg is None else np.array(directions_deg))
         self.directions = np.stack([np.cos(angles), np.sin(angles)])
         """From +x towards +z, shape [2, M]."""
         self.count = len(angles)
         volumes = mass_volumes(scene)
         self.centre = (volumes @ mass_centroids(scene) / volumes.sum())[[0, 2]]
-
-    def exact(self, positions: NDArray[np.floating]) -> Values:
-        extent = (positions[:, [0, 2]].astype(np.float64) - self.centre) @ self.directions
-        volumes = particle_volumes(self.scene, len(positions))
-        return np.array([measures.front(along[:, None], volumes) for along in extent.T])
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         extent = (positions[:, [0, 2]].double() - torch.from_numpy(self.centre)) @ torch.from_numpy(self.directions)
@@ -85,7 +80,6 @@ class Boundary(SmoothObservation):
         self.grid, self.region = plan_grid(scene, scene.domain.cell), region
         least = 0.5 * min(map(least_thickness, scene.masses))
         self.thickness = min(scene.particle_spacing, least) if thickness is None else thickness
-        require(self.thickness > 0.0, "thickness", "a thickness above 0 m", thickness)
         line = region.boundary
         wanted = float(np.clip(line.length / (2.0 * scene.domain.cell), *POINTS))
         rings = [ring for part in shapely.get_parts(region) for ring in (part.exterior, *part.interiors)]
@@ -146,9 +140,9 @@ class OutlineSettings(LengthsSettings):
     """Extent [m] in each of `directions_deg`."""
     directions_deg: tuple[float, ...] | None = None
     """From +x towards +z; every 22.5 degrees where absent."""
-    thickness: float | None = None
+    thickness: Length | None = None
     """Above which a place is covered [m]; where absent as in `datasets.maps`."""
-    length: float | None = None
+    length: Length | None = None
     """Correlation length of the errors along the boundary [m]: exp(-distance / length); independent where absent."""
 
     operator_type = Boundary
@@ -156,28 +150,26 @@ class OutlineSettings(LengthsSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for key in ("thickness", "length"):
-            given = getattr(self, key)
-            require(given is None or given > 0.0, key, "a length above 0 m", given)
         far = self.values is not None or self.directions_deg is not None or Noise.stated(self.noise).share == 0.0
         require(far, "noise", "a distance in m for an outline", self.noise)
 
     def operator(self, scene: Scene) -> Observation:
-        require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
         if self.values is not None or self.directions_deg is not None:
             return Extents(scene, self.directions_deg)
         # Of a twin whose outline is not known yet.
-        return Boundary(scene, shapely.box(0.0, 0.0, *scene.domain.size[::2]), self.thickness)
+        return Boundary(scene, shapely.box(0.0, 0.0, *plan_sides(scene)), self.thickness)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         if self.values is not None:
             return super().read(scene, folder, released)
-        require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
+        box = shapely.box(0.0, 0.0, *plan_sides(scene))
         path, (corner, crs), thickness = folder / str(self.csv or self.file), map_corner(scene), self.thickness
         with naming(path):
             if self.csv is not None:
                 corner = (float(scene.domain.corner[0]), float(scene.domain.corner[2]))
-                polygons = [shapely.Polygon(np.stack([*self.table(path, ("x", "z")).values()], axis=1))]
+                places = np.stack([*self.table(path, ("x", "z")).values()], axis=1)
+                require(len(places) > 2, "", "three vertices along the outline or more", len(places))
+                polygons = [shapely.Polygon(places)]
                 require(
                     polygons[0].is_valid, "", "vertices in order along the outline", "an outline that crosses itself"
                 )
@@ -193,7 +185,6 @@ class OutlineSettings(LengthsSettings):
                     deposit = [each for each in deposit if each.attributes["threshold_m"] == thickness]
                 polygons = [each.polygon for each in deposit or features]
             region = shapely.transform(shapely.union_all(polygons), lambda rows: rows - corner)
-            box = shapely.box(0.0, 0.0, *scene.domain.size[::2])
             if not box.buffer(1e-6 * max(scene.domain.size)).contains(region):
                 got = ", ".join(f"{each:.6g}" for each in region.bounds)
                 raise InputError(f"expected an outline within the box, got x and z from its corner from {got} m")

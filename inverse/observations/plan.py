@@ -28,6 +28,7 @@ from datasets.geometry.ground import elevation, slopes_in_plan
 from datasets.maps import map_corner
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats, Grid
+from datasets.scene.parts import Length
 from inverse.observations.errors import Covariance, Noise
 from inverse.observations.observation import SCATTER_CELLS, Rollout, SmoothObservation, Values
 from inverse.observations.settings import ObservationSettings
@@ -45,10 +46,15 @@ SUNKEN = 0.1
 """Depth of a survey beneath the terrain, in cells, that is said."""
 
 
+def plan_sides(scene: Scene) -> tuple[float, ...]:
+    """Lengths of a scene along x and z [m]. Raises InputError in 2D."""
+    require(scene.dimension == 3, "kind", "a scene in 3D", f"{scene.dimension}D")
+    return scene.domain.size[::2]
+
+
 def plan_grid(scene: Scene, cell: float) -> Grid:
     """Square cells of about this edge [m] over the whole plan of a scene in 3D, by their middles."""
-    require(scene.dimension == 3, "kind", "a scene in 3D", f"{scene.dimension}D")
-    sides = scene.domain.size[::2]
+    sides = plan_sides(scene)
     counts = tuple(max(1, round(side / cell)) for side in sides)
     spacing = tuple(side / count for side, count in zip(sides, counts, strict=True))
     return Grid((0.5 * spacing[0], 0.5 * spacing[1]), spacing, counts)
@@ -122,13 +128,13 @@ class ThicknessSettings(ObservationSettings):
     file: str | None = None
     """A raster of thicknesses [m], or points of a survey of the surface (`datasets.exchange.points`), in the map
     coordinates of the scene."""
-    cell: float | None = None
+    cell: Length | None = None
     """Of a survey, a twin or a trajectory: edge of the cells [m]; the scene's where absent."""
     peak: bool = False
     """Whether they are the largest over time, not those of the deposit."""
     direction: Literal["normal", "vertical"] = "normal"
     """How they are measured: normal to the ground or along gravity."""
-    length: float | None = None
+    length: Length | None = None
     """Correlation length of their errors in plan [m]: exp(-distance / length); independent where absent."""
 
     operator_type = Thickness
@@ -136,23 +142,20 @@ class ThicknessSettings(ObservationSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for key in ("cell", "length"):
-            given = getattr(self, key)
-            require(given is None or given > 0.0, key, "a length above 0 m", given)
         own = self.file is None or Path(self.file).suffix.lower() in ENDINGS or self.cell is None
         require(own, "cell", "none beside a raster, which has its own", self.cell)
 
     def operator(self, scene: Scene) -> Thickness:
         grid = plan_grid(scene, max(self.cell or 0.0, scene.domain.cell))
         if grid.count > MOST:
-            grid = plan_grid(scene, math.sqrt(math.prod(scene.domain.size[::2]) / MOST))
+            grid = plan_grid(scene, math.sqrt(math.prod(plan_sides(scene)) / MOST))
         return self.over(scene, grid)
 
     def over(self, scene: Scene, grid: Grid, cells: NDArray[np.int64] | None = None) -> Thickness:
         return Thickness(scene, grid, peak=self.peak, direction=self.direction, cells=cells)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
-        require(scene.dimension == 3, "kind", "a scene in 3D", f"{scene.dimension}D")
+        plan_sides(scene)
         path, (corner, crs) = folder / str(self.file), map_corner(scene)
         with naming(path):
             if path.suffix.lower() in ENDINGS:
@@ -176,7 +179,7 @@ class ThicknessSettings(ObservationSettings):
         twice the noise, the ground is bare.
         """
         (corner, crs), grid = map_corner(scene), self.operator(scene).grid
-        low, sides = np.array(corner), np.array(scene.domain.size[::2])
+        low, sides = np.array(corner), np.array(plan_sides(scene))
         points = read_points(path, crs, low, low + sides)
         plan = points[:, :2] - low
         above = points[:, 2] - scene.domain.corner[1] - elevation(scene.solids, scene.domain, plan)
@@ -221,7 +224,7 @@ def blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Grid,
     corner: of the box on the map [m], shape [2]; a block with a hole is one. Raises InputError where none lies in it.
     """
     places, kept = (raster.x - corner[0], raster.z - corner[1]), []
-    for at, side in zip(places, scene.domain.size[::2], strict=True):
+    for at, side in zip(places, plan_sides(scene), strict=True):
         kept.append(np.flatnonzero((at > 0.0) & (at < side)))
         require(
             len(kept[-1]) > 0, "", f"cells between 0 and {side:g} m from the corner of the box", "none of them there"

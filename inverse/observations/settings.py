@@ -1,5 +1,6 @@
 """What a problem's file says of an observation; each kind adds the keys of its operator."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -40,9 +41,12 @@ class ObservationSettings(Record):
     """Keys that say where something is, and along which axis of the scene; None: a whole vector."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         Noise.stated(self.noise)
         plain = self.robust or not isinstance(self.noise, Student)
         require(plain, "noise", "a number or a percentage for numbers whose errors depend on each other", "student")
+        for each in fields(self):
+            require(getattr(self, each.name) != (), each.name, "at least one number", "none")
         require(len(self.given) < 2, "", f"one of {', '.join(self.sources)}", " and ".join(self.given))
 
     def in_box(self, corner: Floats, keys: Sequence[str] | None = None) -> Self:
@@ -90,6 +94,10 @@ class ObservationSettings(Record):
     def compared(self, operator: Observation, values: Values) -> Target:
         """`values` [M] with errors that are independent of each other."""
         errors = Covariance(Noise.stated(self.noise).of(values))
+        range_, largest = np.max(operator.limits[1]) - np.min(operator.limits[0]), float(errors.deviation.max())
+        if largest > range_:
+            said = f"a noise of {largest:g} is more than the range of what is possible, {range_:g}"
+            warnings.warn(f'{self.name or self.kind}: {said}; a percentage is written "{largest:g}%"', stacklevel=2)
         dof = np.full(len(values), self.noise.dof) if isinstance(self.noise, Student) else None
         return Target(observation=operator, values=values, errors=errors, dof=dof)
 
@@ -146,6 +154,18 @@ class TabulatedSettings(ObservationSettings):
         except InputError as error:
             # A mistake in a column is none of the problem's file.
             raise error.at(str(path)) if error.key in ("", *numbers) else error from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeriesSettings(TabulatedSettings):
+    """Of an observation that is one number, of the end unless the kind says otherwise, or one at each of some times."""
+
+    value: float | None = None
+    """In the unit of the kind."""
+    values: tuple[float, ...] | None = None
+    """One for each of `times`."""
+    times: tuple[float, ...] | None = None
+    """When [s] after the start."""
 
 
 @dataclass(frozen=True, kw_only=True)

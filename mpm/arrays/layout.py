@@ -27,18 +27,10 @@ GROWTH = 1.5
 """Nodes for which a worker that has too few gets room, over those it needs."""
 
 
-class TableColumn(IntEnum):
-    """Counts from zero."""
-
-    @staticmethod
-    def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
-        return count
-
-
-class Setting(TableColumn):
+class Setting(IntEnum):
     """Columns of `settings`, real, shape [scenes, len(Setting)]."""
 
-    CELL = auto()  # [m]
+    CELL = 0  # [m]
     FRAME_DT = auto()  # [s]
     GRAVITY_X, GRAVITY_Y = auto(), auto()  # [m/s^2]
     FLOOR_FRICTION = auto()  # [-]
@@ -61,13 +53,13 @@ class Setting(TableColumn):
     DRAINED = auto()  # 1 where floor and solids let water out, else 0
 
 
-class Property(TableColumn):
+class Property(IntEnum):
     """First columns of `properties`, real, shape [scenes, columns]; of each particle where scenes are heterogeneous.
 
     Those of the material's law follow (`mpm.laws`).
     """
 
-    VOLUME = auto()  # initial [m^D]
+    VOLUME = 0  # initial [m^D]
     DENSITY = auto()  # [kg/m^3]
     LAME = auto()  # [Pa]
     SHEAR = auto()  # [Pa]
@@ -79,10 +71,10 @@ FRAMES_PER_CALL = 20
 """Frames of one call of the kernel at most; after each the progress bar moves and a run can be stopped."""
 
 
-class Offset(TableColumn):
+class Offset(IntEnum):
     """Columns of `offsets`, integers, shape [scenes, len(Offset)]: where a scene lies in the flat arrays; counters."""
 
-    BLOCK = auto()  # its first block of particles
+    BLOCK = 0  # its first block of particles
     PARTICLES = auto()  # how many
     CELLS_X, CELLS_Y, CELLS_Z = auto(), auto(), auto()
     RECORD = auto()  # the first of its particles in `positions`, -1 where the kernel records none
@@ -116,10 +108,10 @@ class Offset(TableColumn):
     ENTERED = auto()  # the frame by which all of its particles have entered; 0 where they are there from the start
 
 
-class Contact(TableColumn):
+class Contact(IntEnum):
     """Vectors of a block that describe the contact of its particles with solids (`mpm.physics.contact`)."""
 
-    DELTA = auto()  # delta_h of the distance [1/m]
+    DELTA = 0  # delta_h of the distance [1/m]
     DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
     FRICTION = auto()  # its Coulomb coefficient at the foot [-]
     FACE = auto()  # the number of that face, less FIRST_FACE
@@ -138,26 +130,26 @@ BED_FIRST = BED_PER_CELL * PADDING + 1
 """The number along an axis of its node at the corner of the box: one lies beyond the padding."""
 
 
-class TerrainNumber(TableColumn):
+class TerrainNumber(IntEnum):
     """The first numbers of a terrain in `terrain`; its elevations follow, and its frictions where they vary."""
 
-    NEARNESS = auto()  # the least part of the height above it that is the distance from it [-]
+    NEARNESS = 0  # the least part of the height above it that is the distance from it [-]
     FRICTION = auto()  # where it is the same everywhere [-]
 
 
-class BedUnder(TableColumn):
+class BedUnder(IntEnum):
     """What the nodes of a column have in common of the bed of a terrain."""
 
-    REFERENCE = auto()  # an elevation near its own [m]
+    REFERENCE = 0  # an elevation near its own [m]
     ABOVE = auto()  # how far that is above it [m]: of differences single precision keeps more
     NORMAL_X, NORMAL_Y, NORMAL_Z = auto(), auto(), auto()
     FRICTION = auto()
 
 
-class Worker(TableColumn):
+class Worker(IntEnum):
     """Columns of `workers`, integers, shape [workers, len(Worker)]: the part of a scene that one thread computes."""
 
-    SCENE = auto()
+    SCENE = 0
     FIRST = auto()  # its blocks: [first, last)
     LAST = auto()
     NODE = auto()  # the first node of its part of `grid`
@@ -171,36 +163,36 @@ class Worker(TableColumn):
     IMPULSE = auto()  # its first vector of `impulse`
 
 
-class Span(TableColumn):
+class Span(IntEnum):
     """Columns of `spans`, integers, shape [columns of nodes of all workers, len(Span)]: see `mpm.physics.columns`."""
 
-    LOW, HIGH = auto(), auto()  # the nodes of a column that are in use, [low, high); high is 0 where it is not
+    LOW, HIGH = 0, auto()  # the nodes of a column that are in use, [low, high); high is 0 where it is not
     CELL_LOW, CELL_HIGH = auto(), auto()  # the cells above it that hold particles, while columns are made
     ACTIVE = auto()  # line n: the n-th column in use
     OCCUPIED = auto()  # line n: the n-th column of cells that holds particles
 
 
-class StepControl(TableColumn):
+class StepControl(IntEnum):
     """Columns of `step_control`, real, shape [scenes, len(StepControl)]: the steps, where each is a launch."""
 
-    DT = auto()  # of the next step [s]; 0 where the scene waits for others
+    DT = 0  # of the next step [s]; 0 where the scene waits for others
     SPEED = auto()  # of its fastest particle [m/s]
     STEPS = auto()  # of its next frame; 0 where it has ended
 
 
-class Energy(TableColumn):
+class Energy(IntEnum):
     """Columns of `energy`, real, shape [all frames, len(Energy)]: energies [J, per metre of width in 2D], a force."""
 
-    KINETIC = auto()
+    KINETIC = 0
     POTENTIAL = auto()
     ELASTIC = auto()
     UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where `rests`; else 0
 
 
-class Pore(TableColumn):
+class Pore(IntEnum):
     """Numbers of a cell in `cells`, those of two nodes: what its particles give, then what becomes of their water."""
 
-    VOLUME = auto()  # of saturated particles [m^D]; from here on means over it
+    VOLUME = 0  # of saturated particles [m^D]; from here on means over it
     STRAIN = auto()  # volume strain of a step [-]
     PRESSURE = auto()  # [Pa]
     CLOSED = auto()  # bit f: a solid is beyond face f, x-, x+, y-, ...
@@ -213,29 +205,29 @@ class Pore(TableColumn):
     SLOPE_X, SLOPE_Y, SLOPE_Z = 12, 13, 14  # of the pressure [Pa per cell]
 
 
-class Face(TableColumn):
+class Face(IntEnum):
     """What lies beyond a face of a cell with saturated material."""
 
-    TIGHT = auto()
+    TIGHT = 0
     CELL = auto()  # another one
     SURFACE = auto()
     DRAIN = auto()  # a solid that lets water out
     GAP = auto()  # a cell without water, and another one behind it
 
 
-class Barrier(TableColumn):
+class Barrier(IntEnum):
     """Columns of `barriers`, integers, shape [barriers, len(Barrier)]: a range of nodes that is held, [low, high)."""
 
-    RETAINED = auto()  # line of its mass in `retained`
+    RETAINED = 0  # line of its mass in `retained`
     AXIS = auto()  # across which nodes are held; len(Barrier): they are damped
     LOW_X, LOW_Y, LOW_Z = auto(), auto(), auto()
     HIGH_X, HIGH_Y, HIGH_Z = auto(), auto(), auto()
 
 
-class Retained(TableColumn):
+class Retained(IntEnum):
     """Columns of `retained`, integers, shape [retained masses, len(Retained)]."""
 
-    FIRST = auto()  # its particles: [first, last) of the scene's
+    FIRST = 0  # its particles: [first, last) of the scene's
     LAST = auto()
     RELEASE = auto()  # the frame in which its barriers open; 0: when it has settled
     SETTLED_FRAMES = auto()  # frames in a row in which it was settled
@@ -244,10 +236,10 @@ class Retained(TableColumn):
     TOP = auto()  # the row beyond their highest one
 
 
-class Settling(TableColumn):
+class Settling(IntEnum):
     """Columns of `settling`, real, shape [retained masses, len(Settling)]."""
 
-    RATE = auto()  # of damping [1/s]
+    RATE = 0  # of damping [1/s]
     PARTICLE = auto()  # mass of a particle [kg, per metre of width in 2D]
     MOST_KINETIC = auto()  # of a settled mass [J, per metre of width in 2D]
     MOST_IMPULSE = auto()  # change of its momentum in a frame [N s]
@@ -259,10 +251,10 @@ class Settling(TableColumn):
     GATE_FOOT = auto()  # where it stands [m]
 
 
-class Inflow(TableColumn):
+class Inflow(IntEnum):
     """First columns of `inflows`, real, shape [inflows, columns]; its speed in each frame [m/s] follows."""
 
-    SPEED = auto()  # in the next frame [m/s]; less than zero where it has not begun, or has ended
+    SPEED = 0  # in the next frame [m/s]; less than zero where it has not begun, or has ended
     FOOT_X, FOOT_Y, FOOT_Z = auto(), auto(), auto()  # the middle of the lowest line of its section [cells]
     FLOW_X, FLOW_Y, FLOW_Z = auto(), auto(), auto()  # unit vectors: of its velocity,
     ALONG_X, ALONG_Y, ALONG_Z = auto(), auto(), auto()  # along its foot, in 2D z,

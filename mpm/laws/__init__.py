@@ -3,7 +3,7 @@
 `[material] law = "NAME"` is the module of that name, with _ for -. What it has:
 
     Parameters                        a record of its keys in `[material]`, with units and bounds
-    Column                            its columns of `properties`, behind those of `mpm.arrays.layout.Property`
+    Column                            its columns of `properties`, from `len(mpm.arrays.layout.Property)` on
     OPENS                             whether tension opens it: the fourth of its strengths is then the largest [Pa]
     features(materials, stages)       flags of `mpm.arrays.features.Features` that it sets
     columns(features)                 the columns that a kernel with these features reads
@@ -19,25 +19,15 @@ stresses also asks where nothing yields and where two stresses fell alike: `elas
 
 import pkgutil
 from collections.abc import Iterable
-from enum import IntEnum
 from importlib import import_module
 from typing import Any
 
-from datasets.errors import InputError, require
+from datasets.errors import keyed, require
 from datasets.scene.material import Material
 from datasets.schema import from_mapping
-from mpm.arrays.layout import Property
 
 LAWS = {each.name.replace("_", "-"): f"{__name__}.{each.name}" for each in pkgutil.iter_modules(__path__)}
 """The modules by the names of their laws."""
-
-
-class LawColumn(IntEnum):
-    """Columns of a law, behind those of `Property`."""
-
-    @staticmethod
-    def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
-        return len(Property) + count
 
 
 def law_named(name: str) -> Any:
@@ -48,10 +38,9 @@ def law_named(name: str) -> Any:
 
 def parameters_of(material: Material) -> Any:
     """The keys of a material's law, its `Parameters`. Raises InputError."""
-    try:
-        return from_mapping(law_named(material.law).Parameters, material.constants)
-    except InputError as error:
-        raise InputError(error.message, key=f"material.{error.key.removeprefix('material.')}") from None
+    law = law_named(material.law)
+    with keyed("material"):
+        return from_mapping(law.Parameters, material.constants)
 
 
 def law_of(materials: Iterable[Material]) -> Any:

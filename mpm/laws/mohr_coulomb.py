@@ -38,7 +38,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import auto
+from enum import IntEnum, auto
 from typing import Any
 
 import numpy as np
@@ -49,7 +49,7 @@ from datasets.scene import Stage
 from datasets.scene.material import Material
 from datasets.schema import Record
 from mpm.arrays.access import TINY, clamp, maximum, minimum
-from mpm.laws import LawColumn
+from mpm.arrays.layout import Property
 from mpm.physics.inertial import sin_phi_at_rate
 
 Floats = NDArray[np.float64]
@@ -64,10 +64,10 @@ class Parameters(Record):
     """No others than those of `datasets.scene.material`, with their units and bounds: every folder knows this law."""
 
 
-class Column(LawColumn):
+class Column(IntEnum):
     """What the law knows of a particle."""
 
-    SIN_PHI = auto()  # [-]
+    SIN_PHI = len(Property)  # [-]
     SIN_PSI = auto()  # [-]
     STRENGTH = auto()  # 2 c cos(phi) [Pa]
     LIMIT = auto()  # largest tensile stress [Pa]

@@ -23,7 +23,7 @@ and the mean stress stays. It does not open, so that nothing of cracks or gaps i
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import auto
+from enum import IntEnum, auto
 from typing import Annotated, Any
 
 import numpy as np
@@ -35,7 +35,8 @@ from datasets.scene import Stage
 from datasets.scene.material import STIFFEST, Material
 from datasets.schema import Bounds, Record
 from mpm.arrays.access import TINY, maximum
-from mpm.laws import LawColumn, parameters_of
+from mpm.arrays.layout import Property
+from mpm.laws import parameters_of
 
 Floats = NDArray[np.float64]
 
@@ -52,10 +53,10 @@ class Parameters(Record):
     """H [Pa], growth of the strength with the plastic shear strain."""
 
 
-class Column(LawColumn):
+class Column(IntEnum):
     """What the law knows of a particle."""
 
-    STRENGTH = auto()  # s_u [Pa]
+    STRENGTH = len(Property)  # s_u [Pa]
     HARDENING = auto()  # H [Pa]; only where there is one
 
 

@@ -1,16 +1,18 @@
 """The result of a scene of a batch: its trajectory with a summary, or why there is none."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import WorkFailed
-from datasets.flow.caveats import caveats
 from datasets.flow.measures import extents
 from datasets.flow.trajectory import Trajectory, solid_names
-from datasets.scene import DOMAIN_SIDES
+from datasets.geometry.bodies import scene_height
+from datasets.scene import DOMAIN_SIDES, Scene
+from datasets.scene.particles import Particles, unresolved
 from datasets.scene.water import drainage
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Energy, Offset, Retained
@@ -18,6 +20,17 @@ from mpm.initial.barriers import retained_masses
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
+
+AT_REST = 1e-3
+"""Kinetic energy of a deposit at rest, over its largest, at most."""
+SLOW = 2e-3
+"""Root mean square speed below which nothing moves, over sqrt(g H), H the height of the body at the start."""
+SHARE = 0.005
+"""Of the particles: what is beyond the front."""
+NEAR = 2.0
+"""Cells from a wall: sand against it comes to lie a part of a cell off, its tongue is a layer of particles."""
+FEWEST_CELLS = 3.0
+"""Cells across a body or a layer."""
 
 
 def failure(batch: Batch, index: int) -> WorkFailed | None:
@@ -160,6 +173,41 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         solid_impulse=impulses[kept, :solids] if solids else None,
         summary=summary,
     )
+
+
+def caveats(
+    scene: Scene,
+    particles: Particles,
+    deposit: NDArray[np.floating],
+    *,
+    kinetic: NDArray[np.floating],
+    end_time: float,
+    outflow: Mapping[str, float],
+) -> list[str]:
+    """Lines on a flow of `particles`, none where all is well.
+
+    deposit: positions at the end [m], shape [N, D]; kinetic: energy of every frame [J], shape [T]; end_time: until when
+    the flow was computed [s]; outflow: mass that left through each open side [kg]. In 2D both are per metre of width.
+    """
+    lines = []
+    mass, start = float(np.sum(particles.density * particles.volume)), particles.positions
+    speed = math.sqrt(2.0 * float(kinetic[-1]) / mass)
+    if kinetic[-1] > AT_REST * kinetic.max() and speed > SLOW * math.sqrt(scene.gravity * scene_height(scene)):
+        moving = f"at t = {end_time:g} s, the end, it still moves at {speed:.2g} m/s (rms)"
+        lines.append(f"not at rest: {moving}; front and deposit are not final")
+    for number, side in enumerate(DOMAIN_SIDES[: 2 * scene.dimension]):
+        axis, upper = divmod(number, 2)
+        if side in (*scene.open_sides, "y-"):
+            continue
+        wall, close = scene.domain.size[axis] if upper else 0.0, NEAR * scene.domain.cell
+        near = [float(np.mean(np.abs(each[:, axis] - wall) < close)) for each in (start, deposit)]
+        if not near[0] and near[1] > SHARE:
+            share = f"{near[1]:.2g} of the particles"
+            lines.append(f"the side {side} of the box holds {share}, which would have spread further")
+    for side, left in outflow.items():
+        if left > 0.0:
+            lines.append(f"{left / mass:.2g} of the mass left the box through its open side {side}")
+    return lines + [line for line in [unresolved(scene, FEWEST_CELLS)] if line]
 
 
 def rounded(series: NDArray[np.float64]) -> Any:

@@ -38,7 +38,6 @@ from datasets.geometry.contact_surface import ContactSurface, contact_surface_of
 from datasets.geometry.nearest import Search, feet, nearest
 from datasets.geometry.surface import Surface
 from datasets.scene import NO_SLIP, Domain, Scene
-from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import CONTACT_WIDTH, roughest, search_distance
 from mpm.solids.bed import Bed, bed_of, frictions_of
@@ -164,22 +163,8 @@ def obstacles_in(scene: Scene) -> Obstacles:
 
     A particle from farther away needs more than a step to come within that distance.
     """
-    surface = contact_surface_of(scene)
-    if surface is not None:
-        return obstacles_with(surface, scene.domain, farthest(scene), roughest(scene))
-    none = np.zeros(1, np.int32)
-    return Obstacles(
-        faces=np.zeros((0, features_of([scene], "f32").face.size)),
-        cell_faces=none,
-        near_faces=none[:0],
-        cell_distance=np.zeros(1),
-        node_holds=none,
-        holds=np.zeros((0, 3)),
-        covered=none,
-        windows=(Window(low=(0,) * scene.dimension, shape=(0,) * scene.dimension, cell=scene.domain.cell),),
-        beds=(None,),
-        frictions=(np.zeros((0, 0)),),
-    )
+    surface = contact_surface_of(scene) or ContactSurface(faces=Surface.empty(scene.dimension), field=None)
+    return obstacles_with(surface, scene.domain, farthest(scene), roughest(scene))
 
 
 def farthest(scene: Scene) -> float:

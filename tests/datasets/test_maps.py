@@ -12,7 +12,7 @@ from shapely.geometry import shape
 
 from datasets import Baffle, Mass, Scene, Solid, Trajectory
 from datasets.command_line import run
-from datasets.maps import KINDS, PlanMaps, command, maps_of, outline, write
+from datasets.maps import KINDS, command, maps_of, region_above, write
 from datasets.scene.grid_field import Grid
 from datasets.scene.particles import initial_particles
 from tests import scenes
@@ -113,11 +113,7 @@ def test_an_outline_is_a_disc_with_a_hole() -> None:
     x, z = np.meshgrid(*grid.axes, indexing="ij")
     distance = np.hypot(x - 0.5, z - 0.4)
     values = np.maximum(0.0, np.minimum(0.3 - distance, distance - 0.05))
-    maps = PlanMaps(
-        grid=grid, thickness=values, start=None, depth=values, normal_depth=values, velocity=None,
-        arrival=0.0 * values, ground=0.0 * values, threshold=0.05, volume=0.0, left=0.0, corner=(1000.0, 2000.0),
-    )  # fmt: skip
-    (polygon,) = outline(maps, values, 0.05).geoms
+    (polygon,) = region_above(grid, values, 0.05, (1000.0, 2000.0)).geoms
     assert polygon.area == pytest.approx(np.pi * (0.25**2 - 0.1**2), rel=2e-3)
     assert polygon.is_valid
     assert polygon.exterior.is_ccw
@@ -182,13 +178,13 @@ def test_the_threshold_is_at_most_half_of_the_thinnest_layer(thickness: object, 
     )
     maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
     assert maps.threshold == pytest.approx(threshold, rel=0.02)
-    assert outline(maps, maps.thickness, threshold).bounds[0] == pytest.approx(0.3, abs=0.05)
+    assert region_above(maps.grid, maps.thickness, threshold).bounds[0] == pytest.approx(0.3, abs=0.05)
 
 
 def test_what_has_no_map_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     box = (1.0, 0.6, 0.4)
     for dimension, flags, words in (
-        (2, [], "expected a trajectory in 3D, a flow in 2D has no plan"),
+        (2, [], "trajectory.npz: expected a trajectory in 3D, a flow in 2D has no plan"),
         (3, ["--cell", "0"], "--cell: expected a length from 0.025 m, the spacing of the particles, to 0.4 m"),
         (3, ["--threshold", "-1"], "--threshold: expected thicknesses above 0 m"),
     ):

@@ -23,6 +23,7 @@ class Holder(Record):
     """Records in a record."""
 
     parts: tuple[Limited, ...]
+    spare: Limited | None = None
 
 
 @pytest.mark.parametrize(
@@ -47,6 +48,22 @@ def test_a_value_out_of_bounds_is_named_alike(values: dict[str, Any], expected: 
 @pytest.mark.parametrize("values", [{}, {"share": 1.0}, {"sizes": (1, 2.0)}, {"friction": "rough"}, {"friction": 0}])
 def test_a_value_within_is_taken(values: dict[str, Any]) -> None:
     assert from_mapping(Holder, {"parts": [values]}).parts == (Limited(**values),)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"parts": [{"shre": 0.5}]}, "parts[0].shre: expected a known key, did you mean 'share'?"),
+        ({"parts": [], "spare": {"size": 0.5}}, "spare.size: expected a known key, did you mean 'sizes'?"),
+        ({"parts": [{"spar": 0.5}]}, "parts[0].spar: expected a known key, did you mean 'share'?"),
+        ({"parts": [], "share": 0.5}, "share: expected a known key, this one belongs in another table"),
+        ({"parts": [], "solver": {}}, "solver: expected a known key"),
+    ],
+)
+def test_what_may_be_meant_is_a_key_of_the_same_table(values: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        from_mapping(Holder, values)
+    assert str(caught.value) == said
 
 
 def test_no_number_is_within_no_bounds() -> None:

@@ -90,12 +90,22 @@ def test_a_thickness_by_raster(tmp_path: Path) -> None:
     place = Affine(10.0, 0.0, EAST, 0.0, -10.0, NORTH + 200.0)
     write_raster(tmp_path / "depth.tif", rows, "EPSG:2056", transform=place)
     found = made(tmp_path, "--cell", "2", "--thickness", str(tmp_path / "depth.tif"))
-    # 20 x 20 m of each; values are linear over 10 m between them, and fall to 0 over as much.
-    assert mass_volumes(found)[0] * math.cos(SLOPE) == pytest.approx(400.0 * 3.0, rel=0.05)
+    # 20 x 20 m of each.
+    assert mass_volumes(found)[0] * math.cos(SLOPE) == pytest.approx(400.0 * 3.0, rel=1e-3)
     start = initial_particles(found).positions + found.domain.corner
     assert start[:, 2].max() < NORTH + 106.0
     upright = made(tmp_path, "--cell", "2", "--vertical", "--thickness", str(tmp_path / "depth.tif"))
     assert mass_volumes(upright)[0] == pytest.approx(mass_volumes(found)[0] * math.cos(SLOPE), rel=1e-3)
+
+
+@pytest.mark.parametrize("west", [41, 43])
+def test_a_thickness_on_finer_cells_than_the_terrain(tmp_path: Path, west: int) -> None:
+    """A spot of 2 x 2 m, 2 m thick, around a post of the terrain or between two: it has its own volume."""
+    rows = np.zeros((200, 500))
+    rows[101:103, west : west + 2] = 2.0
+    write_raster(tmp_path / "depth.tif", rows, None, transform=Affine(1.0, 0.0, EAST, 0.0, -1.0, NORTH + 200.0))
+    found = made(tmp_path, "--cell", "1", "--thickness", str(tmp_path / "depth.tif"))
+    assert mass_volumes(found)[0] * math.cos(SLOPE) == pytest.approx(8.0, rel=1e-3)
 
 
 def test_ground_that_two_polygons_share_counts_once(tmp_path: Path) -> None:
@@ -141,7 +151,7 @@ def test_what_makes_no_site_is_one_line(tmp_path: Path, capsys: pytest.CaptureFi
     for shape, flags, said in (
         (far, [], "polygons that lie on the raster"),
         (FIELD, ["--thickness", "0"], "--thickness: expected a thickness above 0 m"),
-        (FIELD, ["--thickness", "none.tif"], "none.tif: expected a raster, there is none"),
+        (FIELD, ["--thickness", "none.tif"], "none.tif: --thickness: expected a raster, there is none"),
         (FIELD, ["--friction", "-1"], "--friction: expected a coefficient"),
         (FIELD, ["--turbulence", "0"], "--turbulence: expected a coefficient"),
         (FIELD, ["--cell", "0"], "--cell: expected a length above 0 m"),

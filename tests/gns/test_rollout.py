@@ -10,7 +10,7 @@ import torch
 
 from datasets import Mass, Scene, Trajectory, command_line, write_scene
 from datasets.flow import measures
-from gns import checkpoint, library
+from gns import checkpoint, inference, library
 from gns.rollout import rollout
 from gns.simulator import Simulator
 from tests.gns.conftest import spreading
@@ -76,7 +76,9 @@ def test_the_shipped_model_is_that_of_the_dimension_and_of_terrain(
     assert f"{model}: expected whole weights of a model, there is none" in said
 
 
-def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refusals(
+    files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     spreading(31.0).save(tmp_path / "other.npz")
     deep = tmp_path / "deep.toml"
     write_scene(DEEP, deep)
@@ -93,3 +95,8 @@ def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.Capture
         arguments = paths["scene"], "--out", tmp_path / "out", "--model", paths["model"], *flags
         assert message in refused_by(capsys, rollout, *arguments)
     assert not (tmp_path / "out").exists()
+    # Before the work, which would be lost.
+    (tmp_path / "out").write_text("")
+    monkeypatch.setattr(inference, "simulate", pytest.fail)
+    arguments = files["scene"], "--out", tmp_path / "out", "--model", files["model"]
+    assert "--out: expected a folder to write to" in refused_by(capsys, rollout, *arguments)

@@ -1,4 +1,4 @@
-"""One step: its symmetries, free flight, walls that hold; the gradient of a rollout; the models that ship.
+"""One step: its symmetries, walls that hold; the gradient of a rollout; the models that ship.
 
 `shipped.json` has the MPM's deposits of two scenes of each dimension, each found by
 
@@ -28,7 +28,6 @@ from gns.surroundings.forces import Moment
 from gns.surroundings.initial import initial_state
 from gns.surroundings.state import Conditions, State, in_model_units
 from tests.gns.conftest import NORMALISATION, Cloud
-from validation.bench.stability.exact_solutions import FreeFlight
 
 
 def test_the_order_of_the_particles_does_not_matter(lively: Simulator, cloud: Cloud) -> None:
@@ -52,16 +51,6 @@ def test_far_from_the_walls_a_shift_by_grid_cells_changes_nothing(lively: Simula
         here, there = (unroll(lively, each, conditions, 5) for each in (state, moved))
     assert (here[-1] - here[0]).std(dim=0).min() > 1e-5
     torch.testing.assert_close(there - shift, here, atol=1e-9, rtol=0.0)
-
-
-def test_an_untrained_model_flies_freely(simulator: Simulator, cloud: Cloud) -> None:
-    state, conditions = cloud(lower=(0.1, 0.2), velocity=(1.0, 2.0))
-    steps, step = 20, simulator.settings.step
-    with torch.no_grad():
-        moved = unroll(simulator, state, conditions, steps)[-1] - state.positions
-    flight = FreeFlight(velocity=(1.0, 2.0), gravity=(0.0, -9.81), step=step)
-    expected = torch.from_numpy(flight.displacement(np.array([steps * step]))).to(moved)
-    torch.testing.assert_close(moved, expected.expand_as(moved), atol=1e-3, rtol=0.0)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 4, 6])

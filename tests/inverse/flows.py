@@ -1,12 +1,15 @@
 """A tiny random model, small flows against baffles in 2D and 3D, and one over terrain."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from datasets import Baffle, Mass, Material, Scene, Solid
+from datasets.scene.grid_field import Floats
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from inverse import Parameter, Problem, TargetSettings
@@ -45,8 +48,25 @@ FLOWS: dict[int | str, Scene] = {
         **PLANE,
     ),
 }
+W, M = 30, 7
+"""White numbers and observed ones of `LinearFlow`."""
 WIDE = {"deg": 8.0, "Pa": 50.0, "m/s": 0.5, "m": 0.005, "-": 0.08}
 """Half of the range between a parameter's bounds, by its unit."""
+
+
+class LinearFlow:
+    """In place of a flow over white numbers: M numbers that are linear in W of them, apart from a bend."""
+
+    def __init__(self, matrix: Floats, bend: float = 0.0) -> None:
+        self.matrix, self.bend, self.runs = matrix, bend, 0
+
+    def mean(self, white: Floats, seeds: Sequence[int]) -> Floats:
+        self.runs += len(seeds)
+        linear = self.matrix @ white
+        return np.asarray(linear + self.bend * linear**3)
+
+    def jacobian(self, white: Floats, rows: Floats, seeds: Sequence[int]) -> Floats:
+        return np.asarray(rows @ ((1.0 + 3.0 * self.bend * (self.matrix @ white) ** 2)[:, None] * self.matrix))
 
 
 def simulator_of(dimension: int) -> Simulator:

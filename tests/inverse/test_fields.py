@@ -19,6 +19,7 @@ from inverse.fields.search import Objective, linear_mean
 from inverse.parameters.field import BAND, FieldPrior
 from inverse.target import read_target
 from mpm import simulate
+from tests.inverse.flows import LinearFlow, M, W
 from tests.refusals import refused
 
 SCENE = """
@@ -96,24 +97,10 @@ def test_the_prior_has_the_stated_deviation_and_materns_correlation(name: str) -
     assert adjoint @ prior.field(white) == pytest.approx(white @ prior.white(adjoint), rel=1e-10)
 
 
-W, M = 30, 7
+MATRIX = np.random.default_rng(0).normal(size=(M, W))
 
 
-class Linear:
-    """In place of a flow: numbers that are linear in the white ones, apart from a bend."""
-
-    def __init__(self, bend: float = 0.0) -> None:
-        self.matrix, self.bend = np.random.default_rng(0).normal(size=(M, W)), bend
-
-    def mean(self, white: Any, seeds: Any) -> Any:
-        linear = self.matrix @ white
-        return linear + self.bend * linear**3
-
-    def jacobian(self, white: Any, rows: Any, seeds: Any) -> Any:
-        return rows @ ((1.0 + 3.0 * self.bend * (self.matrix @ white) ** 2)[:, None] * self.matrix)
-
-
-def objective(flow: Linear, target: Any) -> Objective:
+def objective(flow: LinearFlow, target: Any) -> Objective:
     """With dependent errors, of draws that move every combination."""
     root = np.random.default_rng(1).normal(size=(M, M))
     covariance, draws = root @ root.T + 0.6 * np.eye(M), 100.0 * np.random.default_rng(6).normal(size=(60, M))
@@ -121,7 +108,7 @@ def objective(flow: Linear, target: Any) -> Objective:
 
 
 def test_a_linear_problem_has_the_exact_gaussian_posterior() -> None:
-    flow, target = Linear(), 3.0 * np.random.default_rng(2).normal(size=M)
+    flow, target = LinearFlow(MATRIX), 3.0 * np.random.default_rng(2).normal(size=M)
     search = objective(flow, target)
     posterior = search.minimise(np.zeros(W), 5)
     inverse = np.linalg.inv(search.root @ search.root.T)
@@ -139,7 +126,7 @@ def test_a_linear_problem_has_the_exact_gaussian_posterior() -> None:
 
 
 def test_a_step_is_halved_until_the_objective_falls() -> None:
-    search = objective(Linear(bend=0.05), np.full(M, 20.0))
+    search = objective(LinearFlow(MATRIX, bend=0.05), np.full(M, 20.0))
     assert search.minimise(np.zeros(W), 30).promised < 0.5
     objectives = [each["objective"] for each in search.iterates]
     assert sorted(objectives, reverse=True) == objectives

@@ -62,6 +62,15 @@ def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
     np.testing.assert_allclose(true, np.array([0.341, 0.812]) - 0.1)
 
 
+def test_bounds_in_radians_are_warned_of(tmp_path: Path) -> None:
+    text = GOOD
+    for name, degrees, radians in (("initial", 30.0, 0.5), ("lower", 12.0, 0.2), ("upper", 52.0, 0.9)):
+        assert f"{name} = {degrees}" in text
+        text = text.replace(f"{name} = {degrees}", f"{name} = {radians}")
+    with pytest.warns(UserWarning, match="in radians it would be 51"):
+        read_problem(written(tmp_path, text))
+
+
 def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> None:
     text = GOOD.replace('"friction_deg"', '"phi"')
     message = refused(read_problem, written(tmp_path, text), said="friction_deg").message

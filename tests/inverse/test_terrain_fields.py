@@ -28,6 +28,7 @@ from inverse.observations.errors import Covariance
 from inverse.observations.plan import ThicknessSettings
 from inverse.observations.target import Target
 from mpm.adjoint.gradient import gradient
+from tests.inverse.flows import LinearFlow, M, W
 from tests.refusals import refused
 
 RAMP = tuple(tuple(0.3 - 0.3 * x + 0.02 * abs(z) for z in range(-1, 6)) for x in np.linspace(-0.2, 1.0, 7))
@@ -221,20 +222,6 @@ def test_the_gradient_through_a_rollout(path: str) -> None:
     assert first.sum() * 0.01 == pytest.approx(released_volume(scene) * 0.95, rel=0.06)
 
 
-W, M = 30, 7
-
-
-class Map:
-    """A flow whose numbers are linear in the white ones."""
-
-    def __init__(self, matrix: Any) -> None:
-        self.matrix, self.runs = matrix, 0
-
-    def mean(self, white: Any, seeds: Any) -> Any:
-        self.runs += len(seeds)
-        return self.matrix @ white
-
-
 @pytest.mark.parametrize("rank", [0, 1, 2])
 def test_runs_correct_the_derivatives_of_a_surrogate(rank: int) -> None:
     """One that is wrong by an offset and along a few directions; Broyden's method ends after two runs for each."""
@@ -242,7 +229,7 @@ def test_runs_correct_the_derivatives_of_a_surrogate(rank: int) -> None:
     true = rng.normal(size=(M, W))
     wrong = true + 0.5 * sum((np.outer(rng.normal(size=M), rng.normal(size=W)) for _ in range(rank)), np.zeros((M, W)))
     target, covariance = 3.0 * rng.normal(size=M), 0.1 * np.eye(M)
-    flow = Map(true)
+    flow = LinearFlow(true)
     objective = Objective(flow, target, covariance, [0], combinations=rng.normal(size=(M, M)))
     jacobian = objective.change.T @ objective.rows @ objective.whitened(wrong)
     start = Gaussian(0.3 * rng.normal(size=W), jacobian, 0.0, objective.rows)
@@ -261,7 +248,7 @@ def test_what_the_scatter_explains_corrects_nothing() -> None:
     rng = np.random.default_rng(4)
     true = rng.normal(size=(M, W))
 
-    class Noisy(Map):
+    class Noisy(LinearFlow):
         def mean(self, white: Any, seeds: Any) -> Any:
             return super().mean(white, seeds) + 0.01 * rng.normal(size=M)
 

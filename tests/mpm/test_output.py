@@ -1,13 +1,15 @@
-"""What a run records: the frames and fields that were asked for, smooth and right; and when it comes to rest."""
+"""What a run records: the frames and fields that were asked for, smooth and right; when it rests; what is said."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from datasets.scene import Baffle, Mass
+from datasets.scene import Baffle, Mass, Scene
+from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles
 from mpm import WITH_FIELDS, Recording, simulate
+from mpm.output.outcome import caveats
 from mpm.output.recording import window_frames
 from mpm.output.smoothing import smoothed, weights
 from tests.refusals import refused
@@ -92,3 +94,31 @@ def test_a_settled_deposit_is_at_rest_and_repeats_its_last_frame() -> None:
     last = simulate(scene, record=dataclasses.replace(REST, frames="last"))
     np.testing.assert_array_equal(last.positions[-1], ended.positions[-1])
     assert last.summary["rest_time"] == summary["rest_time"]
+
+
+COLUMN = read_scene("column-short-21")
+
+
+def said(scene: Scene = COLUMN, *, x: float = 0.0, energy: float = 0.0, outflow: dict[str, float] | None = None) -> str:
+    """Remarks on the column moved by `x` [m], whose kinetic energy ends at `energy` [J/m]."""
+    particles = initial_particles(scene)
+    deposit = particles.positions + np.array([x] + [0.0] * (scene.dimension - 1))
+    kinetic = np.array([0.0, 10.0, energy])
+    return "\n".join(caveats(scene, particles, deposit, kinetic=kinetic, end_time=1.0, outflow=outflow or {}))
+
+
+def test_what_is_said_of_motion_walls_and_open_sides() -> None:
+    """Of a wall that holds the front, not of the one that the column stood at; of rest in a large box nothing."""
+    assert said(x=0.1) == said(energy=1e-7) == ""
+    assert "not at rest: at t = 1 s" in said(energy=1.0)
+    room = COLUMN.domain.size[0] - COLUMN.masses[0].lower[0] - COLUMN.masses[0].size[0]
+    assert "the side x+ of the box holds" in said(x=room)
+    opened = dataclasses.replace(COLUMN, open_sides=("x+",))
+    assert "x+" not in said(opened, x=room)
+    assert "left the box through its open side x+" in said(opened, outflow={"x+": 1.0})
+
+
+@pytest.mark.parametrize(("cells", "thin"), [(2.0, True), (5.0, False)])
+def test_a_body_of_fewer_than_three_cells_is_said(cells: float, thin: bool) -> None:
+    mass = dataclasses.replace(COLUMN.masses[0], size=(COLUMN.masses[0].size[0], cells * COLUMN.domain.cell))
+    assert ("masses[0]" in said(dataclasses.replace(COLUMN, masses=(mass,)))) is thin

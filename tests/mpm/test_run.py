@@ -11,6 +11,7 @@ import pytest
 
 from datasets.command_line import run
 from datasets.flow.trajectory import Trajectory
+from mpm import safety, simulation
 from mpm.run import command
 from mpm.runtime import STALE, drop_stale_lock
 from tests.breaking import SCENE
@@ -52,6 +53,21 @@ def test_a_mistake_is_one_line_and_leaves_nothing(
     line = refused_by(capsys, command, tmp_path / "pile.toml", "--out", tmp_path / "out")
     assert f"{tmp_path / 'pile.toml'}: {said}" in line
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("flags", [(), ("--safety",)])
+def test_a_folder_that_is_none_is_refused_before_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...]
+) -> None:
+    """Its work would be lost."""
+    (tmp_path / "pile.toml").write_text(SHORT)
+    (tmp_path / "out").write_text("")
+    monkeypatch.setattr(simulation, "simulate", pytest.fail)
+    monkeypatch.setattr(safety, "safety_factor", pytest.fail)
+    line = refused_by(capsys, command, tmp_path / "pile.toml", "--out", tmp_path / "out", *flags)
+    assert f"{tmp_path / 'out'}: --out: expected a folder to write to" in line
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert "Permission denied" in refused_by(capsys, command, tmp_path / "pile.toml", "--out", tmp_path / "new", *flags)
 
 
 def test_a_flow_on_a_map_is_the_same_to_the_bit(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ PAGES = {
     "speed": ("validation.bench.speed:bench", "rates of MPM and network, baffles, a gradient, a large terrain"),
     "gpu": ("validation.bench.gpu:bench", "rates of MPM and network on a GPU, beside all processors"),
     "mountain": ("validation.bench.mountain:bench", "slides of kilometres beside other codes (data: ISeeSnow)"),
-    "back_analysis": ("validation.bench.back_analysis:bench", "which bed explains such a slide (data: ISeeSnow)"),
     "gns": ("validation.bench.gns:bench", "the shipped surrogates beside the MPM: error, price, bands, rest"),
 }
 """Pages that can be measured: where each is, and what it shows."""

@@ -170,7 +170,7 @@ Outcomes = Mapping[str, Outcome]
 """Of one problem, by the way to them."""
 
 
-def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: bool = False) -> str:
+def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
     """Solve every shipped problem that has no result in KEEP, by a `python -m validation.loop` each.
 
     A result is kept in KEEP/NAME, one with the surrogate in KEEP/NAME-gns, one without in KEEP/NAME-none, until the
@@ -180,8 +180,6 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: b
     ----------
     only
         Solve these alone; the page has all that there are.
-    as_kept
-        Solve nothing: write the page from the results in KEEP, whatever they were made of.
     """
     names = [name for family in FAMILIES for name in family.problems]
     if unknown := [name for name in only if name not in names]:
@@ -193,13 +191,11 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: b
             for name in family.problems:
                 ways: dict[str, Outcome] = {}
                 for problem, place in family.inversions(name):
-                    if name in (only or names) and not as_kept and not solved(problem, folder / place):
+                    if name in (only or names) and not solved(problem, folder / place):
                         failed.append(place)
-                    if as_kept or is_current(problem, folder / place):
-                        result = read_json(folder / place / RESULT)
-                        if result is not None:
-                            outcome = Outcome(problem=problem, criteria=family.criteria, result=result)
-                            ways.setdefault(outcome.way, outcome)
+                    if is_current(problem, folder / place) and (result := read_json(folder / place / RESULT)):
+                        outcome = Outcome(problem=problem, criteria=family.criteria, result=result)
+                        ways.setdefault(outcome.way, outcome)
                 if ways:
                     found.setdefault(family.title, []).append(ways)
             for picture in family.pictures:

@@ -23,6 +23,7 @@ from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
 from mpm import ALL, LAST, simulate_many
 from validation.design.problem import DesignProblem, Limit
+from validation.design.race import Predict
 
 TOGETHER = 64
 """Flows of a batch on a GPU, and scenes that are made at a time."""
@@ -30,32 +31,29 @@ COARSER = 2.0
 """Cells of the MPM that predicts over the scene's."""
 
 
-def predictor(problem: DesignProblem, simulate: Simulate = simulate_many) -> "Predictor":
-    """That which the problem asks for. Raises InputError where it cannot predict."""
+def predictor(problem: DesignProblem, simulate: Simulate = simulate_many) -> Predict:
+    """Responses of flows by what the problem asks for. Raises InputError where it cannot predict."""
     if problem.surrogate == "coarse":
         problem.scene.with_cell(COARSER * problem.scene.domain.cell)
-        return Predictor(problem, partial(coarse, problem.limit, simulate))
-    expected = "front or runout, or surrogate = 'coarse': a learned surrogate predicts no force"
-    require(not problem.limit.force, "limit.quantity", expected, problem.limit.quantity)
-    model = gns.load(shipped(problem.scene))
-    check(problem.scene, model.settings)
-    respond = partial(in_batches, "cuda") if torch.cuda.is_available() else on_processors
-    return Predictor(problem, partial(respond, problem.limit.quantity))
+        respond = partial(coarse, problem.limit, simulate)
+    else:
+        expected = "front or runout, or surrogate = 'coarse': a learned surrogate predicts no force"
+        require(not problem.limit.force, "limit.quantity", expected, problem.limit.quantity)
+        check(problem.scene, gns.load(shipped(problem.scene)).settings)
+        learned = partial(in_batches, "cuda") if torch.cuda.is_available() else on_processors
+        respond = partial(learned, problem.limit.quantity)
+    made = 0
 
-
-class Predictor:
-    """Responses of flows without the MPM's own word, all numbers [n, K + Q] in fractions of their ranges -> [n]."""
-
-    def __init__(self, problem: DesignProblem, respond: "partial[list[float]]") -> None:
-        self.problem, self.respond, self.made = problem, respond, 0
-
-    def __call__(self, points: Matrix) -> Row:
+    def predict(points: Matrix) -> Row:
+        nonlocal made
         found = list[float]()
         for first in tqdm(range(0, len(points), TOGETHER), desc="predictions", unit="batch", leave=False, disable=None):
-            scenes = self.problem.scenes_at(points[first : first + TOGETHER], self.made)
-            found += self.respond(scenes)
-            self.made += len(scenes)
+            scenes = problem.scenes_at(points[first : first + TOGETHER], made)
+            found += respond(scenes)
+            made += len(scenes)
         return np.array(found)
+
+    return predict
 
 
 def coarse(limit: Limit, simulate: Simulate, scenes: Sequence[Scene]) -> list[float]:

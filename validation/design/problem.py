@@ -222,14 +222,16 @@ class DesignProblem(_Keys):
 
     def named(self, design: Row) -> dict[str, float]:
         """The variables by name of a design [K] in fractions of the ranges."""
-        values = self.box.lower[: len(design)] + self.box.range[: len(design)] * design
-        return {each.name: float(value) for each, value in zip(self.variables, values, strict=True)}
+        return {each.name: float(value) for each, value in zip(self.variables, self.values(design), strict=True)}
+
+    def values(self, designs: Matrix) -> Matrix:
+        """The variables of designs [..., K] in fractions of their ranges, in their own units, shape [..., K]."""
+        known = len(self.variables)
+        return np.asarray(self.box.lower[:known] + self.box.range[:known] * designs)
 
     def price(self, designs: Matrix) -> Row:
-        """c . d of designs [S, K] in fractions of their ranges, shape [S]; 0 without a cost."""
-        known = len(self.variables)
-        values = self.box.lower[:known] + self.box.range[:known] * designs
-        return np.asarray(values @ np.array([self.cost.get(each.name, 0.0) for each in self.variables]))
+        """c . d of designs [..., K] in fractions of their ranges, shape [...]; 0 without a cost."""
+        return np.asarray(self.values(designs) @ np.array([self.cost.get(each.name, 0.0) for each in self.variables]))
 
     def draws(self, count: int, rng: np.random.Generator) -> Matrix:
         """Draws of what is uncertain, in fractions of the ranges: one in each of `count` parts, shape [count, Q].

@@ -86,10 +86,8 @@ class Race:
 
     def rank(self, entry: Entry) -> tuple[float, float]:
         """What is better comes first: cheap designs or, where nothing has a price, reliable ones."""
-        return (self.price(entry), -self.probability(entry)) if self.problem.cost else (-self.probability(entry), 0.0)
-
-    def price(self, entry: Entry) -> float:
-        return float(self.problem.price(entry.design[None])[0])
+        price = float(self.problem.price(entry.design))
+        return (price, -self.probability(entry)) if self.problem.cost else (-self.probability(entry), 0.0)
 
     @property
     def settled(self) -> list[Entry]:

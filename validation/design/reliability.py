@@ -130,7 +130,7 @@ class Reliability:
     @property
     def price(self) -> float:
         """Of the best design."""
-        return float(self.problem.price(self.best[None])[0])
+        return float(self.problem.price(self.best))
 
     @property
     def decided(self) -> bool:
@@ -153,7 +153,7 @@ class Reliability:
         hopes = self.probability(designs, error=-1.0)
         may = hopes >= (problem.required if problem.cost else self.expected)
         if self.expected >= problem.required:
-            may &= problem.price(designs) <= problem.price(self.best[None])
+            may &= problem.price(designs) <= self.price
         hopes[~may] = 0.0
         rivals = designs[np.argsort(-hopes)[: min(RIVALS, int(may.sum()))]]
         points = self.joined(np.vstack([self.best[None], rivals]), CANDIDATES)

@@ -59,7 +59,7 @@ class Checked:
 
     @property
     def price(self) -> float:
-        return float(self.problem.price(self.best[None])[0])
+        return float(self.problem.price(self.best))
 
     @property
     def exceeding(self) -> int:

@@ -156,7 +156,7 @@ def report(found: Design | RacedDesign) -> str:
         rows = [
             problem.named(each.design)
             | {"predictions": len(each.responses), "probability": race.probability(each)}
-            | ({"cost": race.price(each)} if problem.cost else {})
+            | ({"cost": float(problem.price(each.design))} if problem.cost else {})
             for each in sorted(race.settled, key=race.rank)
         ]
     parts = ["\n".join(f"- {line}" for line in lines), f"![{shown}](design.png)", *parts]
@@ -193,8 +193,7 @@ def draw(found: Design, path: Path) -> None:
         for index, (axis, name) in enumerate(zip(axes[0], found.design, strict=False)):
             designs = np.tile(reliability.best, (STATIONS, 1))
             designs[:, index] = np.linspace(0.0, 1.0, STATIONS)
-            along = problem.box.lower[index] + problem.box.range[index] * designs[:, index]
-            axis.plot(along, reliability.probability(designs))
+            axis.plot(problem.values(designs)[:, index], reliability.probability(designs))
             axis.axhline(limit.probability, color=GREY, linestyle="--")
             axis.axvline(found.design[name], color=ORANGE)
             axis.set(xlabel=name, ylabel="probability", ylim=(0.0, 1.02), visible=True)

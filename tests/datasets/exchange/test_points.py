@@ -9,6 +9,7 @@ from rasterio.crs import CRS
 from rasterio.warp import transform
 
 from datasets.exchange.points import read_points
+from tests.datasets.exchange.test_scene_files import in_feet
 from tests.refusals import refused
 
 LOW, HIGH, SWISS = np.array([2_600_000.0, 1_200_000.0]), np.array([2_600_100.0, 1_200_050.0]), "EPSG:2056"
@@ -32,10 +33,17 @@ def las(path: Path, rows: np.ndarray, kinds: list[int], record: str = "") -> Pat
 @pytest.mark.filterwarnings("ignore:.*read with semicolons")
 @pytest.mark.parametrize(
     ("name", "head", "separator"),
-    [("survey.csv", "x,y,z", ","), ("survey.csv", "id;easting;northing;elevation [m]", ";"), ("SURVEY.XYZ", "", " ")],
+    [
+        ("survey.csv", "x,y,z", ","),
+        ("survey.csv", "id;easting;northing;elevation [m]", ";"),
+        ("survey.csv", "Northing,Easting,Elevation", ","),
+        ("SURVEY.XYZ", "", " "),
+    ],
 )
 def test_a_table_of_points(tmp_path: Path, name: str, head: str, separator: str) -> None:
-    rows = [separator.join([*("7" * ("id" in head)), *map(repr, row)]) for row in [*PLACES.tolist(), *BESIDE.tolist()]]
+    order = [1, 0, 2] if head.startswith("Northing") else [0, 1, 2]
+    places = np.concatenate([PLACES, BESIDE])[:, order].tolist()
+    rows = [separator.join([*("7" * ("id" in head)), *map(repr, row)]) for row in places]
     (tmp_path / name).write_text("\n".join([head] * bool(head) + rows) + "\n")
     np.testing.assert_array_equal(read_points(tmp_path / name, SWISS, LOW, HIGH), PLACES)
 
@@ -51,8 +59,9 @@ def test_a_cloud_of_points(tmp_path: Path, ending: str) -> None:
     other = np.stack([*transform(SWISS, "EPSG:32632", *PLACES[:, :2].T), PLACES[:, 2]], axis=1)
     path = las(tmp_path / f"utm.{ending}", other, [2, 2], CRS.from_epsg(32632).to_wkt())
     np.testing.assert_allclose(read_points(path, SWISS, LOW, HIGH), PLACES, atol=2e-3)
-    path = las(tmp_path / f"degrees.{ending}", other, [2, 2], CRS.from_epsg(4326).to_wkt())
-    refused(read_points, path, SWISS, LOW, HIGH, said="expected a projected coordinate system in metres")
+    for name, system in (("degrees", CRS.from_epsg(4326).to_wkt()), ("feet", in_feet(32632))):
+        path = las(tmp_path / f"{name}.{ending}", other, [2, 2], system)
+        refused(read_points, path, SWISS, LOW, HIGH, said="expected a projected coordinate system in metres")
 
 
 def test_what_is_no_survey_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

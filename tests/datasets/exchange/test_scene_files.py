@@ -12,6 +12,7 @@ import rasterio.shutil
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from rasterio.crs import CRS
 from rasterio.transform import Affine
 
 from datasets import Scene, read_scene
@@ -214,7 +215,7 @@ def test_friction_and_turbulence_of_the_ground_by_raster(tmp_path: Path) -> None
     assert refused(scene, tmp_path, line, said="").key.startswith("solids[0].friction")
 
 
-@pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:25832", None])
+@pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:25832", None, 'LOCAL_CS["site",UNIT["metre",1]]'])
 def test_a_raster_of_thickness_lies_beside_the_terrains(tmp_path: Path, crs: str | None) -> None:
     """0.4 x 0.3 m, 1.0 and 0.5 m from its corner, by the same map: UTM of ETRS89 and of WGS 84 lie on each other."""
     place = Affine(0.1, 0.0, 500001.0, 0.0, -0.1, 5000000.0 + 0.5 + 0.3)
@@ -282,7 +283,35 @@ def test_a_release_of_another_map_is_refused(tmp_path: Path, release: str, words
     assert refused(scene, tmp_path, text, said=words).key == "masses[0].thickness"
 
 
+def misspelt(old: bytes, new: bytes) -> Callable[[Path], object]:
+    """An ASCII raster of 20 x 10 values of 0.25 in which one word is another."""
+
+    def write(path: Path) -> None:
+        write_raster(path, np.full((10, 20), 0.25))
+        path.write_bytes(path.read_bytes().replace(old, new, 1))
+
+    return write
+
+
+def in_feet(plane: int) -> str:
+    """A reference system, in WKT, whose plan is in metres and whose heights are in feet."""
+    datum = 'VERT_DATUM["North American Vertical Datum 1988",2005]'
+    heights = f'VERT_CS["NAVD88 height (ftUS)",{datum},UNIT["US survey foot",0.304800609601219],AXIS["Up",UP]]'
+    return f'COMPD_CS["site",{CRS.from_epsg(plane).to_wkt()},{heights}]'
+
+
+def heights_in_feet(path: Path) -> None:
+    """By the reference system that stands beside an ASCII raster."""
+    write_raster(path, tilted(), None)
+    path.with_suffix(".prj").write_text(in_feet(25832))
+
+
 CASES: list[tuple[str, Callable[[Path], object], str]] = [
+    ("dem.asc", misspelt(b" 0.25", b" abc"), "expected numbers, got 'abc' in line 7"),
+    ("dem.asc", misspelt(b" 0.25", b" 1.000,25"), "expected numbers, got '1.000,25' in line 7"),
+    ("dem.asc", misspelt(b" 0.25", b" 0.2 5"), "expected 200 values, as the header says, got 201"),
+    ("dem.asc", misspelt(b" 0.25", b""), "expected 200 values, as the header says, got 199"),
+    ("dem.asc", heights_in_feet, "expected elevations in metres, got 'US survey foot'"),
     ("dem.asc", holes, "expected a raster without holes in the box, got 2 cells without data"),
     ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
     ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:3857"), "metres are metres on the ground"),

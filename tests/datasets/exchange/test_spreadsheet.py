@@ -31,6 +31,17 @@ def test_any_separator_and_end_of_line(tmp_path: Path, separator: str, end: str,
         assert "decimal commas" in str(said[0].message)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])
+def test_any_encoding_and_case(tmp_path: Path, encoding: str) -> None:
+    """Spreadsheets write UTF-16 as their text with tabs, and Windows-1252 where nothing else is chosen."""
+    path = tmp_path / "table.csv"
+    path.write_bytes("X (m),Height,Prüfung\n0.105,0.021,größer\n-0.25,0.0,\n".encode(encoding))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        table = read_columns(path, ("x", "height"), others=True)
+    np.testing.assert_array_equal([table["x"], table["height"]], [X[:2], HEIGHT[:2]])
+
+
 @pytest.mark.filterwarnings("ignore:.*read with")
 def test_units_in_the_header(tmp_path: Path) -> None:
     """What has its own unit is returned in that of the problem, whose factor makes metres of it."""
@@ -51,6 +62,7 @@ def test_units_in_the_header(tmp_path: Path) -> None:
     [
         ("", "an empty file"),
         ("x,height\n", "none"),
+        ("x\0,height\n1,2\n", "got x?, height"),
         ("x;height\n1,5;2\n1,5;2;3\n", "line 3"),
         ("x;height\n1.000,5;2\n", "line 2"),
         ("x,height\n1,5,2\n", "line 2"),

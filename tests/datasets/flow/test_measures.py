@@ -1,15 +1,12 @@
-"""Runout, front, toe and profile of known deposits; what is said of a flow that is not what it seems."""
+"""Runout, front, toe and profile of known deposits."""
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 
-from datasets import Mass, Scene, Solid, read_scene
+from datasets import Mass, Solid
 from datasets.flow import measures
-from datasets.flow.caveats import caveats
-from datasets.scene.particles import initial_particles
 from tests.scenes import scene_of
 
 SPACING = 0.005
@@ -121,31 +118,3 @@ def test_heights_are_counted_from_the_terrain() -> None:
     assert errors.thickness == pytest.approx(0.5, rel=0.05)
     assert measures.mean_height(points, volume) == pytest.approx(0.1)
     assert not deposit.at_wall
-
-
-SCENE = read_scene("column-short-21")
-
-
-def said(scene: Scene = SCENE, *, x: float = 0.0, energy: float = 0.0, outflow: dict[str, float] | None = None) -> str:
-    """Remarks on the column moved by `x` [m], whose kinetic energy ends at `energy` [J/m]."""
-    particles = initial_particles(scene)
-    deposit = particles.positions + np.array([x] + [0.0] * (scene.dimension - 1))
-    kinetic = np.array([0.0, 10.0, energy])
-    return "\n".join(caveats(scene, particles, deposit, kinetic=kinetic, end_time=1.0, outflow=outflow or {}))
-
-
-def test_what_is_said_of_motion_walls_and_open_sides() -> None:
-    """Of a wall that holds the front, not of the one that the column stood at; of rest in a large box nothing."""
-    assert said(x=0.1) == said(energy=1e-7) == ""
-    assert "not at rest: at t = 1 s" in said(energy=1.0)
-    room = SCENE.domain.size[0] - SCENE.masses[0].lower[0] - SCENE.masses[0].size[0]
-    assert "the side x+ of the box holds" in said(x=room)
-    opened = dataclasses.replace(SCENE, open_sides=("x+",))
-    assert "x+" not in said(opened, x=room)
-    assert "left the box through its open side x+" in said(opened, outflow={"x+": 1.0})
-
-
-@pytest.mark.parametrize(("cells", "thin"), [(2.0, True), (5.0, False)])
-def test_a_body_of_fewer_than_three_cells_is_said(cells: float, thin: bool) -> None:
-    mass = dataclasses.replace(SCENE.masses[0], size=(SCENE.masses[0].size[0], cells * SCENE.domain.cell))
-    assert ("masses[0]" in said(dataclasses.replace(SCENE, masses=(mass,)))) is thin

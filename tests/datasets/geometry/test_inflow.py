@@ -158,7 +158,7 @@ def test_a_hydrograph_from_a_spreadsheet_in_map_coordinates_is_written_and_read_
     path.write_text(TOML.replace("[[100.5, 1300.1]]", "[[100.5]]"))
     assert read_scene(path).masses[0].section == ((0.5,),)
     path.write_text(TOML + "at = [1.0, 2.0]\n")
-    refused(read_scene, path, said="masses[0].file: expected no such key beside a hydrograph")
+    refused(read_scene, path, said="masses[0].at: expected no such key beside a hydrograph")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Scene files: what ships is right, and what is wrong is one line with file and key."""
 
 import dataclasses
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,9 @@ SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=
     ("changes", "message"),
     [
         ({"friction_deg": 0.52}, r"material\.friction_deg = 0\.52 degrees .* in radians it would be 29\.8 degrees"),
+        ({"density": 1.8}, r"material\.density = 1\.8 kg/m\^3 .* in g/cm\^3 it would be 1800 kg/m\^3"),
+        ({"density": 18.0}, r"material\.density = 18 kg/m\^3 .* in kN/m\^3 it would be 1835 kg/m\^3"),
+        ({"density": 900.0, "saturated": True}, r"density = 900 kg/m\^3, of grains and water, is no more"),
         ({"young": 200.0}, r"material\.young = 200 Pa is less than 10 rho g h = 7\.06e\+04 Pa"),
         ({"friction_limit_deg": 40.0, "grain_diameter": 0.7}, r"diameter = 0\.7 m .* in mm it would be 0\.0007 m"),
     ],
@@ -102,6 +106,18 @@ SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=
 def test_numbers_of_another_unit_are_warned_of(changes: dict[str, float], message: str) -> None:
     with pytest.warns(UserWarning, match=message):
         warn_if_unlikely(dataclasses.replace(SCENE, material=dataclasses.replace(SAND, **changes)))
+
+
+@pytest.mark.parametrize(("end", "falls"), [(0.0, 0.0), (-0.2, 0.2)])
+def test_terrain_below_the_floor_is_warned_of(end: float, falls: float) -> None:
+    """There the floor of the box is the ground; not where the line goes on beyond a side."""
+    slope = Solid(kind="terrain", points=((0.0, 0.2), (1.0, end)), friction=0.4)
+    scene = scene_of(Mass(kind="layer", thickness=0.1, outline=((0.2,), (0.4,))), size=(1.0, 0.6), solids=(slope,))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        warn_if_unlikely(scene)
+    line = f"solids[0]: the terrain falls {falls:g} m below the floor of the box, which is the ground there"
+    assert [str(each.message).split(", of floor")[0] for each in said] == [line] * bool(falls)
 
 
 def test_a_friction_in_degrees_and_a_layer_in_centimetres_are_warned_of() -> None:

@@ -111,7 +111,7 @@ def test_what_is_no_raster_of_this_flow_is_refused(tmp_path: Path) -> None:
     write_raster(tmp_path / "far.tif", heap, 0.2, (0.0, 0.0), "EPSG:2056", "thickness", "m")
     refused(ThicknessSettings(file="cm.tif").read, made, tmp_path, 0.04, said="cm.tif: expected a volume of at most")
     refused(ThicknessSettings(file="far.tif").read, made, tmp_path, 0.04, said="far.tif: expected cells between 0 and")
-    refused(lambda: ThicknessSettings(cell=-1.0), said="a length above 0")
+    refused(lambda: ThicknessSettings(cell=-1.0), said="cell: expected a positive length")
     middles = 0.2 * (np.arange(20) + 0.5)
     inside = np.outer(abs(middles - 1.6) < 0.8, abs(middles - 1.6) < 0.8)
     write_raster(tmp_path / "cut.tif", np.where(inside, 0.1, np.nan), 0.2, CORNER, "EPSG:2056", "thickness", "m")
@@ -222,7 +222,8 @@ def test_a_twins_outline_is_its_own_and_a_wrong_one_is_refused(tmp_path: Path) -
     assert target.observation.scores(disc(made, 1.0).positions[-1], disc(made, 1.0).volumes)["tversky"] > 0.999
     (tmp_path / "far.csv").write_text("x,z\n10,0\n12,0\n12,2\n")
     (tmp_path / "bow.csv").write_text("x,z\n1,1\n2,2\n2,1\n1,2\n")
-    for name, said in (("far", "within the box"), ("bow", "in order along the outline")):
+    (tmp_path / "two.csv").write_text("x,z\n1,1\n2,2\n")
+    for name, said in (("far", "within the box"), ("bow", "in order along the outline"), ("two", "three vertices")):
         refused(OutlineSettings(csv=f"{name}.csv", noise=0.1).read, made, tmp_path, None, said=said)
     refused(lambda: OutlineSettings(noise="5%"), said="a distance in m")
 

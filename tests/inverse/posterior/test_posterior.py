@@ -253,11 +253,6 @@ def test_a_curved_ridge_is_one_part_and_a_ring_has_no_answer_in_its_middle() -> 
     assert min(part.half_widths) > 0.3
 
 
-def test_what_is_not_constrained_has_the_prior() -> None:
-    found = sample(lambda points: gaussian(points[:, :1], np.array([0.5]), 0.05), np.random.default_rng(0), **whole(2))
-    assert np.sqrt(found.covariance[1, 1]) == pytest.approx(np.sqrt(1.0 / 12.0), rel=0.05)
-
-
 def test_a_ridge_that_ends_at_a_bound_has_its_quantiles() -> None:
     """Steps along a ridge that are mirrored at a face, and not those back, would draw samples towards it."""
 

@@ -82,10 +82,6 @@ def test_results_are_gathered_once(tmp_path: Path, loop: list[str], capsys: pyte
     assert loop[4:] == [names[0]]
     assert not kept.exists(), "runs for another problem would cost this one no seconds"
     assert call(tmp_path, "nothing") == 2
-    # As it was kept, whatever it was made of.
-    (tmp_path / "runs" / names[0] / problems.KEY).write_text("of another problem")
-    assert main(["problems", "--keep", str(tmp_path / "runs"), "--out", str(tmp_path / "docs"), "--as-kept"]) == 0
-    assert len(loop) == 5
 
 
 def test_what_could_not_be_run_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
