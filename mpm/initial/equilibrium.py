@@ -146,8 +146,7 @@ class Equilibrium:
             if precondition is None:
                 precondition = self.preconditioner()
             displacements, steps = conjugate_gradients(self.stiffness, force, precondition)
-            # Three dimensions factorise a thin layer alone: that is cheap enough to do for every theta.
-            if steps > EXTRA_STEPS or (self.dimension == 3 and yielded.any()):
+            if steps > EXTRA_STEPS:
                 precondition = None
             stress = stress + self.elastic(displacements)
             tractions = tractions + self.contact.shear_traction(displacements, self.theta * self.shear)
@@ -233,30 +232,48 @@ class Equilibrium:
 
     def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
         """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""
-        push = self.contact.force(np.minimum(self.contact.normal_stress(stress), 0.0), tractions)
+        normal = self.contact.normal_stress(stress[self.contact.touching])
+        push = self.contact.force(np.minimum(normal, 0.0), tractions)
         force = self.gravity + push - self.divergence(stress)
         return np.asarray(force - self.friction * np.maximum(-force[:, 1:2], 0.0) * self.slip)
 
     def divergence(self, stress: Floats) -> Floats:
         """sum_p w_ip V_p (4 / dx^2) sigma_p x_ip [N], shape [n, D]."""
-        flux = (self.volume[:, None, None] * stress)[:, : self.dimension, : self.dimension]
-        return np.asarray(self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension))
+        return self.nodal(np.moveaxis(stress[:, : self.dimension, : self.dimension], 2, 0))
+
+    def nodal(self, stress: Floats) -> Floats:
+        """The same, of columns of the stress one after the other, [D, N, D]."""
+        flux = self.volume[:, None] * stress
+        return np.asarray(self.slopes_t @ flux.reshape(-1, self.dimension))
 
     def elastic(self, displacements: Floats) -> Floats:
         """Change of stress [Pa], shape [N, 3, 3], by nodal displacements [m], shape [n, D]."""
-        gradient = np.zeros((len(self.volume), 3, 3))
-        columns = (self.slopes @ displacements).reshape(self.dimension, -1, self.dimension)
-        gradient[:, : self.dimension, : self.dimension] = np.moveaxis(columns, 0, 2)
-        gradient[self.contact.touching] += self.contact.gradient(displacements)
-        change = (self.theta * self.shear)[:, None, None] * (gradient + gradient.swapaxes(1, 2))
-        pressure = self.theta * self.lame * np.trace(gradient, axis1=1, axis2=2)
-        return np.asarray(change + pressure[:, None, None] * np.eye(3))
+        columns, pressure = self.response(displacements)
+        change = np.zeros((len(self.volume), 3, 3))
+        change[:, 2, 2] = pressure
+        change[:, : self.dimension, : self.dimension] = np.moveaxis(columns, 0, 2)
+        return change
+
+    def response(self, displacements: Floats) -> tuple[Floats, Floats]:
+        """The same in the plane or in space, its columns one after the other, [D, N, D]; and theta lambda tr(C), [N].
+
+        It is symmetric: that columns change places with rows where they are copied does not matter.
+        """
+        gradient = (self.slopes @ displacements).reshape(self.dimension, -1, self.dimension)
+        added = self.contact.gradient(displacements)[:, : self.dimension, : self.dimension]
+        gradient[:, self.contact.touching] += np.moveaxis(added, 2, 0)
+        change = (self.theta * self.shear)[:, None] * (gradient + gradient.swapaxes(0, 2))
+        pressure = self.theta * self.lame * sum(gradient[axis, :, axis] for axis in range(self.dimension))
+        for axis in range(self.dimension):
+            change[axis, :, axis] += pressure
+        return change, pressure
 
     def stiffness(self, displacements: Floats) -> Floats:
         """(K + inertia) u [N], shape [n, D], zero where a node is held."""
-        change = self.elastic(displacements)
+        change, _ = self.response(displacements)
+        normal = self.contact.normal_stress(np.moveaxis(change[:, self.contact.touching], 0, 2))
         shear = self.contact.shear_traction(displacements, self.theta * self.shear)
-        force = self.divergence(change) - self.contact.force(self.contact.normal_stress(change), shear)
+        force = self.nodal(change) - self.contact.force(normal, shear)
         return np.where(self.free, force + self.inertia * displacements, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
@@ -264,15 +281,16 @@ class Equilibrium:
 
         Where that was needed, by a factor `inside` further.
         """
-        beyond = np.linalg.eigvalsh(stress)[:, 2] > self.limit
-        principal, axes = np.linalg.eigh(stress[beyond])
-        stress = stress.copy()
-        stress[beyond] = np.einsum("nik,nk,njk->nij", axes, np.minimum(principal, self.limit[beyond, None]), axes)
-        mean = np.trace(stress, axis1=1, axis2=2) / 3.0
-        deviator = stress - mean[:, None, None] * np.eye(3)
-        margin = self.law.admitted_share(mean, np.linalg.eigvalsh(deviator), self.properties)
-        factor = np.where(margin < 1.0, inside * np.maximum(margin, 0.0), 1.0)
-        return np.asarray(mean[:, None, None] * np.eye(3) + factor[:, None, None] * deviator)
+        principal = np.linalg.eigvalsh(stress)
+        beyond, stress = principal[:, 2] > self.limit, stress.copy()
+        principal = np.minimum(principal, self.limit[:, None])
+        stress[beyond] = in_axes(np.linalg.eigh(stress[beyond])[1], principal[beyond])
+        mean = principal.mean(axis=1)
+        share = self.law.admitted_share(mean, principal - mean[:, None], self.properties)
+        yields = beyond | (share < 1.0)
+        factor, pressure = inside * np.clip(share[yields], 0.0, 1.0), mean[yields, None, None] * np.eye(3)
+        stress[yields] = pressure + factor[:, None, None] * (stress[yields] - pressure)
+        return stress
 
     def preconditioner(self) -> Callable[[Floats], Floats]:
         """An approximate inverse of K: its diagonal, and the factorised block of the nodes `direct`."""
@@ -317,14 +335,22 @@ class Equilibrium:
         return precondition
 
 
+def in_axes(axes: Floats, principal: Floats) -> Floats:
+    """Tensors, [N, 3, 3], of `principal` values, [N, 3], along the columns of `axes`, [N, 3, 3]."""
+    return np.asarray((axes * principal[:, None, :]) @ axes.swapaxes(1, 2))
+
+
 def conjugate_gradients(
-    matrix: Callable[[Floats], Floats], force: Floats, precondition: Callable[[Floats], Floats]
+    matrix: Callable[[Floats], Floats],
+    force: Floats,
+    precondition: Callable[[Floats], Floats],
+    accuracy: float = ACCURACY,
 ) -> tuple[Floats, int]:
-    """u with matrix(u) = force to a relative residual of ACCURACY (Hestenes & Stiefel 1952), and the steps taken."""
+    """u with matrix(u) = force to a relative residual of `accuracy` (Hestenes & Stiefel 1952), and the steps taken."""
     solution, residual = np.zeros_like(force), force.copy()
     direction = toward = precondition(residual)
     product = float((residual * toward).sum())
-    goal = ACCURACY * np.sqrt(product)
+    goal = accuracy * np.sqrt(product)
     steps = 0
     while product > goal * goal and steps < MOST_STEPS:
         steps += 1

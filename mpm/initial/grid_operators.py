@@ -29,16 +29,18 @@ def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, Intege
     Only the n nodes in the support of particles; indices count from the first padding node, as the kernel's.
     """
     nodes, weight, offset = support(scene, positions)
-    count, cell = len(positions), scene.domain.cell
-    touched, column = np.unique(nodes, return_inverse=True)
-    row = np.repeat(np.arange(count), nodes.shape[1])
+    cell, shape = scene.domain.cell, node_shape(scene.domain)
+    supports = np.zeros(np.prod(shape), bool)
+    supports[nodes.ravel()] = True
+    touched, column = np.flatnonzero(supports), (np.cumsum(supports) - 1).astype(np.int32)[nodes].ravel()
 
     def matrix(values: Floats) -> Any:
-        return sparse.csr_array((values.ravel(), (row, column.ravel())), (count, len(touched)))
+        starts = np.arange(0, values.size + 1, nodes.shape[1], dtype=np.int32)
+        columns = np.resize(column, values.size)
+        return sparse.csr_array((values.ravel(), columns, starts), (len(starts) - 1, len(touched)))
 
-    slopes = [matrix(4.0 / cell * weight * apart) for apart in np.moveaxis(offset, -1, 0)]
-    places = np.stack(np.unravel_index(touched, node_shape(scene.domain)), axis=1)
-    return matrix(weight), sparse.vstack(slopes).tocsr(), places
+    slopes = 4.0 / cell * np.moveaxis(weight[:, :, None] * offset, -1, 0)
+    return matrix(weight), matrix(slopes), np.stack(np.unravel_index(touched, shape), axis=1)
 
 
 def clings(mass: Mass) -> bool:
@@ -86,9 +88,9 @@ class ContactOperator:
         return np.asarray(-rough[:, None] * slip)
 
     def normal_stress(self, stress: Floats) -> Floats:
-        """sigma_nn [Pa], shape [M], of the stress of all chosen particles [Pa], shape [N, 3, 3]."""
+        """sigma_nn [Pa], shape [M], of the stress of the particles that touch a solid [Pa], shape [M, 3 or D, ...]."""
         size = self.normal.shape[1]
-        return np.asarray(np.einsum("mi,mij,mj->m", self.normal, stress[self.touching, :size, :size], self.normal))
+        return np.asarray(np.einsum("mi,mij,mj->m", self.normal, stress[:, :size, :size], self.normal))
 
     def force(self, normal_stress: Floats, traction: Floats) -> Floats:
         """Nodal force [N], shape [n, D], of -sigma_nn n + q."""
@@ -101,7 +103,7 @@ class ContactOperator:
 
     def coulomb_limited(self, stress: Floats, traction: Floats) -> Floats:
         """Shear tractions [Pa], shape [M, D], within Coulomb's bound for the `stress` [Pa]."""
-        bound = self.friction * np.maximum(-self.normal_stress(stress), 0.0)
+        bound = self.friction * np.maximum(-self.normal_stress(stress[self.touching]), 0.0)
         length = np.linalg.norm(traction, axis=1)
         scale = np.divide(bound, length, out=np.ones_like(length), where=length > bound)
         return np.asarray(scale[:, None] * traction)

@@ -13,26 +13,32 @@ and Douglas-Rachford iteration finds one (Lions & Mercier 1979; Bauschke, Combet
     x = P_E(z),   y = P_Y(2 x - z),   z <- z + RELAXED (y - x)
 
 P projects in the norm sum_p V_p sigma : sigma. For E that is the correction of an elastic body with lambda = 0 and one
-shear modulus, so that one factorisation serves all iterations; the thrust adds a self-equilibrated stress to it.
+shear modulus, so that one factorisation serves all iterations; the thrust adds a self-equilibrated stress to it. P_E is
+found roughly: what is left belongs to the next one.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.scene import Scene
-from mpm.initial.equilibrium import BALANCED, Equilibrium, conjugate_gradients
+from mpm.initial.equilibrium import BALANCED, Equilibrium, conjugate_gradients, in_axes
 from mpm.initial.grid_operators import clings
 
 Floats = NDArray[np.float64]
 
 RELAXED = 1.6
 """Factor on the step of z, below 2."""
-ITERATIONS, BETWEEN, PATIENCE = 240, 4, 8
-"""Steps at most; after how many what is unbalanced is computed, and how often in a row that may be no less."""
+ITERATIONS, BETWEEN = 240, 4
+"""Steps at most, and after how many what is unbalanced is computed: a look."""
+PATIENCE, PROGRESS = 8, 0.8
+"""How many looks in a row may leave more than this part of the least unbalanced force so far."""
+NEARLY, ENOUGH, HASTE = 2.0e-3, 2.0e-4, 4
+"""Unbalanced nodal forces, summed, over the weight: where less is left, or patience ends, nodes that walls would pull
+are freed; and below which a look without progress counts for so many: hardly anything moves then."""
+ROUGH = 0.1
+"""Relative residual of P_E."""
 RELEASES = 5
-"""Solutions at most, each without what walls would have to pull in the one before."""
-FEW_NODES = 6000
-"""Up to which a scene in 3D is factorised as a whole."""
+"""How often nodes are freed."""
 
 
 class WithThrust:
@@ -43,14 +49,22 @@ class WithThrust:
         self.problem = problem
         problem.lame, problem.shear = 0.0 * problem.lame, np.full_like(problem.shear, problem.shear.mean())
         problem.theta, problem.inertia = np.ones_like(problem.theta), 0.0 * problem.inertia
-        if len(problem.mass) <= FEW_NODES:
-            problem.direct = np.arange(len(problem.mass))
-        self.precondition = problem.preconditioner()
         boxes = [number for number, each in enumerate(scene.masses) if each.k0 is not None and not clings(each)]
         self.parts = [(mass == number, axis) for number in boxes for axis in (0, 2)[: scene.dimension - 1]]
         self.thrusts = self.sums(guess)
-        self.displacements = np.zeros(problem.nodes.shape)
-        self.modes = [self.self_equilibrated(*part) for part in self.parts]
+        self.modes, self.correction = np.zeros((len(self.parts), *guess.shape)), np.zeros(guess.shape)
+        for mode, (own, axis) in zip(self.modes, self.parts, strict=True):
+            mode[own, axis, axis] = 1.0
+        self.factorise()
+
+    def factorise(self) -> None:
+        """Begin with the nodes that are free: of the level stress of each box, what has nodal forces there is taken."""
+        self.precondition = self.problem.preconditioner()
+        contact = self.problem.contact
+        for mode in self.modes:
+            for _ in range(2):
+                force = contact.force(contact.normal_stress(mode[contact.touching]), 0.0 * contact.traction)
+                mode += self.problem.elastic(self.displaced_by(force - self.problem.divergence(mode)))
         self.response = np.array([self.sums(each) for each in self.modes]).T
 
     def sums(self, stress: Floats) -> Floats:
@@ -58,51 +72,51 @@ class WithThrust:
         volume = self.problem.volume
         return np.array([volume[own] @ stress[own, axis, axis] for own, axis in self.parts])
 
-    def self_equilibrated(self, own: NDArray[np.bool_], axis: int) -> Floats:
-        """The uniform level stress of a box less what of it has nodal forces, [N, 3, 3]."""
-        stress = np.zeros((len(own), 3, 3))
-        stress[own, axis, axis] = 1.0
-        contact = self.problem.contact
-        for _ in range(4):
-            force = contact.force(contact.normal_stress(stress), 0.0 * contact.traction)
-            stress = stress + self.problem.elastic(self.displaced_by(force - self.problem.divergence(stress)))
-        return stress
-
     def displaced_by(self, force: Floats) -> Floats:
-        """Displacements [m], [n, D], by nodal forces [N], but for hundredths of it."""
+        """Displacements [m], [n, D], by nodal forces [N], but for ROUGH of it."""
         problem = self.problem
-        return conjugate_gradients(problem.stiffness, np.where(problem.free, force, 0.0), self.precondition)[0]
+        force = np.where(problem.free, force, 0.0)
+        return conjugate_gradients(problem.stiffness, force, self.precondition, ROUGH)[0]
 
     def nearest(self, stress: Floats) -> Floats:
-        """P_E(stress), [N, 3, 3], starting from the displacements of the projection before."""
+        """P_E(stress), [N, 3, 3], starting from the change by the projection before."""
         problem = self.problem
-        force = problem.unbalanced(stress + problem.elastic(self.displacements), problem.contact.traction)
-        self.displacements = self.displacements + self.displaced_by(force)
-        stress = stress + problem.elastic(self.displacements)
-        if self.modes:
-            factors = np.linalg.solve(self.response, self.thrusts - self.sums(stress))
-            stress = stress + np.tensordot(factors, self.modes, 1)
-        return np.asarray(stress)
+        force = problem.unbalanced(stress + self.correction, problem.contact.traction)
+        self.correction += problem.elastic(self.displaced_by(force))
+        if self.parts:
+            lacking = self.thrusts - self.sums(stress + self.correction)
+            self.correction += np.tensordot(np.linalg.solve(self.response, lacking), self.modes, 1)
+        return stress + self.correction
 
     def sought(self, start: Floats) -> Floats:
-        """The best stress of E that is admitted, [N, 3, 3], sought from `start`; walls may pull."""
-        problem = self.problem
+        """The best stress of E that is admitted, [N, 3, 3], sought from `start`, without what walls would pull."""
+        problem, releases = self.problem, RELEASES
         best, smallest, patience, moving = start, np.inf, PATIENCE, start
         for step in range(ITERATIONS):
             stress = self.nearest(moving)
             if step % BETWEEN == 0:
                 admitted = problem.admitted(stress)
-                force = np.where(problem.free, problem.unbalanced(admitted, problem.contact.traction), 0.0)
+                force = problem.unbalanced(admitted, problem.contact.traction)
                 off = np.abs(self.sums(admitted) / self.thrusts - 1.0).max(initial=0.0)
-                left = float(np.abs(force).sum()) / problem.weight + float(off)
-                patience = PATIENCE if left < 0.9 * smallest else patience - 1
+                left = float(np.abs(force[problem.free]).sum()) / problem.weight + float(off)
+                pulled = problem.pulled(force)
+                if pulled.any() and releases > 0 and (left <= NEARLY or patience <= 1):
+                    problem.free |= pulled
+                    self.factorise()
+                    releases, patience, smallest = releases - 1, PATIENCE, np.inf
+                    continue
+                patience -= HASTE if smallest <= ENOUGH else 1
+                patience = PATIENCE if left < PROGRESS * smallest else patience
                 if left < smallest:
                     best, smallest = admitted, left
-                if smallest <= BALANCED or patience == 0:
+                if smallest <= BALANCED or patience <= 0:
                     break
-            principal, axes = np.linalg.eigh(2.0 * stress - moving)
-            projected = np.einsum("nik,nk,njk->nij", axes, problem.law.nearest(principal, problem.properties), axes)
-            moving = moving + RELAXED * (projected - stress)
+            reflected = 2.0 * stress - moving
+            principal, axes = np.linalg.eigh(reflected)
+            nearest = problem.law.nearest(principal, problem.properties)
+            changed = (nearest != principal).any(axis=1)
+            reflected[changed] = in_axes(axes[changed], nearest[changed])
+            moving = moving + RELAXED * (reflected - stress)
         return best
 
 
@@ -112,10 +126,4 @@ def with_thrusts(problem: Equilibrium, scene: Scene, mass: NDArray[np.int32], st
     The best admitted one where there is none within ITERATIONS. Changes the stiffness of `problem`, and frees the nodes
     that walls would have to pull. mass: as of `WithThrust`.
     """
-    for _ in range(RELEASES):
-        found = WithThrust(problem, scene, mass, guess).sought(start)
-        pulled = problem.pulled(problem.unbalanced(found, problem.contact.traction))
-        if not pulled.any():
-            break
-        start, problem.free = found, problem.free | pulled
-    return found
+    return WithThrust(problem, scene, mass, guess).sought(start)

@@ -40,7 +40,7 @@ from datasets.scene import TOLERANCE, Mass, Scene, keyed
 from datasets.scene.particles import Particles
 from mpm.initial.equilibrium import Equilibrium
 from mpm.initial.grid_operators import clings
-from mpm.initial.limit_states import FEW_NODES, with_thrusts
+from mpm.initial.limit_states import with_thrusts
 from mpm.initial.slope import slope_stress
 
 Floats = NDArray[np.float64]
@@ -83,9 +83,8 @@ def initial_tractions(
         stress[chosen] = guess[chosen]
         boxes = [mass.k0 is not None and not clings(mass) for mass in scene.masses]
         alone = all(box or mass.k0 is None for box, mass in zip(boxes, scene.masses, strict=True))
-        if not (alone and (dimension == 2 or len(problem.mass) <= FEW_NODES)):
+        if not alone:
             stress[chosen] = problem.solution(guess[chosen])
-            alone = False
         lacking = lateral_shortfall(scene, particles, guess, stress)
         if any(boxes) and (alone or np.abs(lacking).max() > NEAR):
             stress[chosen] = with_thrusts(problem, scene, particles.mass[chosen], stress[chosen], guess[chosen])
