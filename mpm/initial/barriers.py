@@ -29,7 +29,7 @@ Range = NDArray[np.int32]
 
 def barriers(scene: Scene, mass: Mass) -> list[tuple[int, Range]]:
     """Axis across which it stands, and nodes that it holds, of a barrier at each lateral face of `mass` in the box."""
-    found = []
+    standing = []
     lowest = [floor_node(scene, length) - BEYOND for length in mass.lower]
     highest = [ceiling_node(scene, a + b) + BEYOND + 1 for a, b in zip(mass.lower, mass.size, strict=True)]
     if mass.lower[1] > TOLERANCE:
@@ -44,8 +44,8 @@ def barriers(scene: Scene, mass: Mass) -> list[tuple[int, Range]]:
             if stands:
                 nodes = np.array([lowest, highest], np.int32)
                 nodes[:, axis] = rows
-                found.append((axis, nodes))
-    return found
+                standing.append((axis, nodes))
+    return standing
 
 
 def floor_node(scene: Scene, length: float) -> int:
@@ -65,16 +65,16 @@ def held_tables(
     tables: tuple[list[Any], ...] = [], [], [], []
     for scene, its, offset in zip(scenes, particles, offsets, strict=True):
         offset[Offset.BARRIER], offset[Offset.RETAINED], _, offset[Offset.INFLOW] = map(len, tables)
-        speeds = inflow_rows(scene, max(each.frames for each in scenes))
+        speeds = inflow_rows(scene, max(other.frames for other in scenes))
         rows: tuple[list[Any], ...] = (*barrier_tables(scene, its, len(tables[1])), speeds)
         offset[Offset.BARRIERS], offset[Offset.RETAINED_COUNT], _, offset[Offset.INFLOWS] = map(len, rows)
         if its.entry_time is not None:
             offset[Offset.ENTERED] = math.ceil(its.entry_time.max() / scene.frame_dt)
-        for table, own in zip(tables, rows, strict=True):
-            table += own
+        for table, lines in zip(tables, rows, strict=True):
+            table += lines
     kinds: tuple[Any, ...] = np.int32, np.int32, np.float64, real
     counts = map(len, (Barrier, Retained, Settling, Inflow))
-    return [np.array(own or [[0] * n], kind) for own, n, kind in zip(tables, counts, kinds, strict=True)]
+    return [np.array(table or [[0] * n], kind) for table, n, kind in zip(tables, counts, kinds, strict=True)]
 
 
 def barrier_tables(
@@ -88,32 +88,32 @@ def barrier_tables(
     retained: list[list[int]] = []
     settling: list[list[float]] = []
     for index, mass in retained_masses(scene).items():
-        found = barriers(scene, mass)
+        standing = barriers(scene, mass)
         if mass.release == "settled":
             low = [floor_node(scene, length) for length in mass.lower]
             high = [ceiling_node(scene, a + b) + 1 for a, b in zip(mass.lower, mass.size, strict=True)]
-            found.append((len(Barrier), np.array([low, high], np.int32)))
-        for axis, nodes in found:
+            standing.append((len(Barrier), np.array([low, high], np.int32)))
+        for axis, nodes in standing:
             padded = np.pad(nodes, ((0, 0), (0, 3 - scene.dimension)))
             held.append([first + len(retained), axis, *padded[0].tolist(), *padded[1].tolist()])
-        own = np.flatnonzero(particles.mass == index)
+        members = np.flatnonzero(particles.mass == index)
         release = 0 if isinstance(mass.release, str) else round((mass.release or 0.0) / scene.frame_dt)
-        top = max((int(nodes[1, 1]) for axis, nodes in found if axis < len(Barrier)), default=0)
-        retained.append([int(own[0]), int(own[-1]) + 1, release, 0, 0, 0, top])
+        top = max((int(nodes[1, 1]) for axis, nodes in standing if axis < len(Barrier)), default=0)
+        retained.append([int(members[0]), int(members[-1]) + 1, release, 0, 0, 0, top])
         material, height = scene.material_of(mass), mass.size[1]
         weight, speed = material.density * float(np.prod(mass.size)), scene.gravity * height / material.wave_speed
         # Without a gate the barriers are gone at once.
         speed_and_time = (0.0, 0.0) if mass.gate is None else (mass.gate.speed, mass.gate.time_constant)
-        known = {
+        values = {
             Settling.RATE: np.pi * material.wave_speed / height,
-            Settling.PARTICLE: material.density * float(particles.volume[own[0]]),
+            Settling.PARTICLE: material.density * float(particles.volume[members[0]]),
             Settling.MOST_KINETIC: ENERGY * 0.5 * weight * speed**2,
             Settling.MOST_IMPULSE: FORCE * weight * scene.gravity * scene.frame_dt,
             Settling.GATE_SPEED: speed_and_time[0],
             Settling.GATE_TIME: speed_and_time[1],
             Settling.GATE_FOOT: mass.lower[1],
         }
-        settling.append([known.get(column, 0.0) for column in Settling])
+        settling.append([values.get(column, 0.0) for column in Settling])
     return held, retained, settling
 
 

@@ -109,13 +109,13 @@ class Equilibrium:
                     # A side that a solid covers pushes nothing.
                     walls[beyond & (covered >> (2 * axis + side) & 1 == 0), axis] = 1 - 2 * side
         self.rough = np.zeros(len(self.nodes), bool)
-        for number, each in enumerate(scene.masses):
-            if clings(each) and self.friction > 0.0:
+        for number, body in enumerate(scene.masses):
+            if clings(body) and self.friction > 0.0:
                 self.rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
-            if each.k0 is not None and (each.release is not None or not clings(each)):
+            if body.k0 is not None and (body.release is not None or not clings(body)):
                 # Without a release no barrier stands there in the run: where a solid does, it takes the thrust.
-                pressed = self.contact.pressed() if each.release is None else np.zeros(self.nodes.shape, bool)
-                for axis, (low, high) in barriers(scene, each):
+                pressed = self.contact.pressed() if body.release is None else np.zeros(self.nodes.shape, bool)
+                for axis, (low, high) in barriers(scene, body):
                     inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
                     self.behind_barriers[inside & ~pressed[:, axis], axis] = True
         held = (walls != 0) | self.behind_barriers | self.rough[:, None]
@@ -295,9 +295,11 @@ class Equilibrium:
     def preconditioner(self) -> Callable[[Floats], Floats]:
         """An approximate inverse of K: its diagonal, and the factorised block of the nodes `direct`."""
         dimension, count = self.dimension, len(self.volume)
-        each = [self.slopes[axis * count : (axis + 1) * count] for axis in range(dimension)]
+        by_axis = [self.slopes[axis * count : (axis + 1) * count] for axis in range(dimension)]
         stiff = self.volume * self.theta
-        squares = [matrix.multiply(matrix).T @ np.stack([stiff * self.lame, stiff * self.shear], 1) for matrix in each]
+        squares = [
+            matrix.multiply(matrix).T @ np.stack([stiff * self.lame, stiff * self.shear], 1) for matrix in by_axis
+        ]
         total = sum(square[:, 1] for square in squares)
         diagonal = np.stack([squares[axis].sum(axis=1) + total for axis in range(dimension)], axis=1)
         contact = self.theta * self.lame, self.theta * self.shear
@@ -305,7 +307,7 @@ class Equilibrium:
         inverse = np.where(self.free & (diagonal > 0.0), 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)
         if len(self.direct) == 0:
             return lambda force: inverse * force
-        parts = [matrix[:, self.direct].tocsr() for matrix in each]
+        parts = [matrix[:, self.direct].tocsr() for matrix in by_axis]
         used = np.flatnonzero(np.diff(parts[0].indptr))
         parts = [part[used] for part in parts]
         lame, shear = (sparse.diags_array((stiff * value)[used]) for value in (self.lame, self.shear))

@@ -55,9 +55,9 @@ class ContactOperator:
         self, scene: Scene, particles: Particles, positions: Floats, chosen: Integers, weights: Any, slopes: Any
     ) -> None:
         count, dimension = positions.shape
-        found = initial_contacts(scene, positions)
-        self.touching = np.flatnonzero(found[:, Contact.DELTA] > 0.0)
-        here = found[self.touching]
+        contacts = initial_contacts(scene, positions)
+        self.touching = np.flatnonzero(contacts[:, Contact.DELTA] > 0.0)
+        here = contacts[self.touching]
         self.delta = here[:, Contact.DELTA]
         self.normal = here[:, Contact.NORMAL : Contact.NORMAL + dimension]
         rough = np.array([clings(mass) for mass in scene.masses])[particles.mass[chosen]]

@@ -70,7 +70,7 @@ class WithThrust:
     def sums(self, stress: Floats) -> Floats:
         """sum_p V_p sigma_aa of every box and level axis [N m]."""
         volume = self.problem.volume
-        return np.array([volume[own] @ stress[own, axis, axis] for own, axis in self.parts])
+        return np.array([volume[inside] @ stress[inside, axis, axis] for inside, axis in self.parts])
 
     def displaced_by(self, force: Floats) -> Floats:
         """Displacements [m], [n, D], by nodal forces [N], but for ROUGH of it."""

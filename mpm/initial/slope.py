@@ -127,13 +127,13 @@ def level_ground(scene: Scene, plan: Floats, foot: float) -> tuple[Floats, Float
     stuck = np.array([*(solid.contact == "no-slip" for solid in scene.solids), False])[top]
     friction = np.where(stuck, np.inf, friction)
     boxes = list[tuple[Baffle | Solid, float]]()
-    boxes += [(each, coefficient(scene.friction_of(each))) for each in scene.baffles if each.turned_deg == 0.0]
+    boxes += [(baffle, coefficient(scene.friction_of(baffle))) for baffle in scene.baffles if baffle.turned_deg == 0.0]
     for solid in scene.solids:
         if solid.kind == "box" and solid.turned_deg == 0.0:
             boxes.append((solid, math.inf if solid.contact == "no-slip" else float(np.max(solid.friction))))
-    for each, mu in boxes:
-        top_of = np.add(each.lower or (), each.size or ())[1]
-        here = within(plan, each, level) & (abs(top_of - foot) <= TOLERANCE)
+    for obstacle, mu in boxes:
+        top_of = np.add(obstacle.lower or (), obstacle.size or ())[1]
+        here = within(plan, obstacle, level) & (abs(top_of - foot) <= TOLERANCE)
         elevation, friction = np.where(here, foot, elevation), np.where(here, mu, friction)
     return elevation, friction
 
@@ -165,8 +165,8 @@ def slope_stress(
     for number, mass in enumerate(scene.masses):
         if not begins_as_slope(scene, mass):
             continue
-        own = particles.mass == number
-        normal, friction = ground_beneath(scene, mass, positions[own])
+        of_mass = particles.mass == number
+        normal, friction = ground_beneath(scene, mass, positions[of_mass])
         gravity = np.array(scene.gravity_vector)
         across = normal @ gravity
         along = gravity - across[:, None] * normal
@@ -175,12 +175,12 @@ def slope_stress(
         downhill = np.divide(along, steep[:, None], out=level_x, where=steep[:, None] > 1.0e-9)
         material, up = scene.material_of(mass), normal[:, 1]
         weight = material.density * np.abs(across)
-        load = np.abs(across) * mass_above(scene, mass, positions[own])
+        load = np.abs(across) * mass_above(scene, mass, positions[of_mass])
         foot = np.maximum(weight * height(scene, mass) * up + load, 1.0e-9)
         strength = material.friction + material.cohesion / foot
-        borne = 1.0 if share is None else np.maximum(share[own], LEAST)
+        borne = 1.0 if share is None else np.maximum(share[of_mass], LEAST)
         ratio = np.minimum(np.minimum(steep / np.abs(across) / borne, friction), strength)
-        across_stress = -weight * depth_below_top(scene, mass, positions[own], particles.depth[own]) * up - load
+        across_stress = -weight * depth_below_top(scene, mass, positions[of_mass], particles.depth[of_mass]) * up - load
         across_stress *= borne
         square = (math.sin(math.radians(material.phi_deg)) * (1.0 - MARGIN)) ** 2
         half = 2.0 * np.sqrt(np.maximum(square - (1.0 - square) * ratio**2, 0.0))
@@ -188,14 +188,14 @@ def slope_stress(
         level = np.clip(material.poisson / (1.0 - material.poisson), least, most) * across_stress
         shear = -ratio * across_stress
         third = material.poisson * (across_stress + level)
-        n, e = (np.pad(each, ((0, 0), (0, 3 - scene.dimension))) for each in (normal, downhill))
+        n, e = (np.pad(vector, ((0, 0), (0, 3 - scene.dimension))) for vector in (normal, downhill))
         b = np.cross(n, e)
-        outer = (each[:, :, None] * each[:, None, :] for each in (n, e, b))
+        outer = (vector[:, :, None] * vector[:, None, :] for vector in (n, e, b))
         parts = zip((across_stress, level, third), outer, strict=True)
         mixed = n[:, :, None] * e[:, None, :]
-        stress[own] = sum(value[:, None, None] * each for value, each in parts)
-        stress[own] += shear[:, None, None] * (mixed + mixed.swapaxes(1, 2))
-        traction[own] = -shear[:, None] * downhill
+        stress[of_mass] = sum(value[:, None, None] * dyad for value, dyad in parts)
+        stress[of_mass] += shear[:, None, None] * (mixed + mixed.swapaxes(1, 2))
+        traction[of_mass] = -shear[:, None] * downhill
     return stress, traction
 
 

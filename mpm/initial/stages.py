@@ -39,15 +39,15 @@ def selected(stage: Stage, particles: Particles) -> NDArray[np.bool_]:
 
 def particles_after(scene: Scene, particles: Particles, count: int) -> Particles:
     """The particles at the start of a scene with the materials that the first `count` of its stages give them."""
-    materials, own, angle = list(particles.materials), particles.material.copy(), particles.friction_deg
+    materials, numbers, angle = list(particles.materials), particles.material.copy(), particles.friction_deg
     for stage in scene.stages[:count]:
         here = selected(stage, particles)
-        for index in np.unique(own[here]).tolist():
-            own[here & (own == index)] = len(materials)
+        for index in np.unique(numbers[here]).tolist():
+            numbers[here & (numbers == index)] = len(materials)
             materials.append(dataclasses.replace(materials[index], **stage.values))
         if angle is not None and stage.friction_deg is not None:
             angle = np.where(here, stage.friction_deg, angle)
-    return dataclasses.replace(particles, material=own, materials=tuple(materials), friction_deg=angle)
+    return dataclasses.replace(particles, material=numbers, materials=tuple(materials), friction_deg=angle)
 
 
 def next_stage(batch: Batch, index: int) -> Stage | None:

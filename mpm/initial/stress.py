@@ -118,10 +118,12 @@ def lateral_shortfall(scene: Scene, particles: Particles, guess: Floats, stress:
     for number, mass in enumerate(scene.masses):
         if mass.k0 is None or clings(mass):
             continue
-        own = particles.mass == number
+        of_mass = particles.mass == number
         for axis in (0, 2)[: scene.dimension - 1]:
-            required, found = (float(particles.volume[own] @ each[own, axis, axis]) for each in (guess, stress))
-            lacking[own, axis, axis] = 1.0 - found / required if required < 0.0 else 0.0
+            required, thrust = (
+                float(particles.volume[of_mass] @ tensors[of_mass, axis, axis]) for tensors in (guess, stress)
+            )
+            lacking[of_mass, axis, axis] = 1.0 - thrust / required if required < 0.0 else 0.0
     return lacking
 
 
@@ -147,7 +149,7 @@ def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Fl
     top = positions[:, 1] + depth if mass.kind != "box" else np.full(len(positions), mass.lower[1] + mass.size[1])
     load = scene.material_of(mass).density * (top - positions[:, 1])
     level = [axis for axis in range(scene.dimension) if axis != 1]
-    for above in sorted(scene.masses, key=lambda each: each.lower[1]):
+    for above in sorted(scene.masses, key=lambda other: other.lower[1]):
         if above is mass or above.k0 is None:
             continue
         low, size = np.array(above.lower)[level], np.array(above.size)[level]

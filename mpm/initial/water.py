@@ -47,20 +47,20 @@ def initial_water(scene: Scene, particles: Particles) -> tuple[Floats, Floats]:
     for number, (key, mass) in enumerate(keyed(scene, "masses").items()):
         if not scene.material_of(mass).saturated:
             continue
-        own = particles.mass == number
+        of_mass = particles.mass == number
         if mass.k0 is None and not begins_as_slope(scene, mass):
             message = "expected a k0: a saturated mass begins with its weight on grains and water, got none"
             raise InputError(message, key=f"{key}.k0")
-        whole, head = np.nan_to_num(stresses(scene, mass, positions[own]))
-        full = positions[own, 1] < table(scene, mass, positions[own][:, plan_axes(scene.dimension)])
-        found = np.where(full, np.maximum(head, 0.0), 0.0)
+        whole, head = np.nan_to_num(stresses(scene, mass, positions[of_mass]))
+        full = positions[of_mass, 1] < table(scene, mass, positions[of_mass][:, plan_axes(scene.dimension)])
+        pore_pressure = np.where(full, np.maximum(head, 0.0), 0.0)
         if (scene.water or Water()).fixed:
-            _, slope = gradient(partial(stresses, scene, mass), positions[own], 0.5 * cell)
-            force[own] = np.where(found[:, None] > 0.0, -slope, 0.0)
+            _, slope = gradient(partial(stresses, scene, mass), positions[of_mass], 0.5 * cell)
+            force[of_mass] = np.where(pore_pressure[:, None] > 0.0, -slope, 0.0)
         else:
-            found = np.minimum(found, whole)
-        wet[own], pressure[own] = full, found
-        share[own] -= np.divide(found, whole, out=np.zeros_like(whole), where=whole > 0.0)
+            pore_pressure = np.minimum(pore_pressure, whole)
+        wet[of_mass], pressure[of_mass] = full, pore_pressure
+        share[of_mass] -= np.divide(pore_pressure, whole, out=np.zeros_like(whole), where=whole > 0.0)
     return np.stack([pressure, wet, share], axis=1), force
 
 
@@ -110,7 +110,7 @@ def table(scene: Scene, mass: Mass, plan: Floats) -> Floats:
 def column_top(scene: Scene, mass: Mass, plan: Floats) -> Floats:
     """Top [m] of a mass and of the saturated ones that rest on it, over places in plan [m], [N, D - 1]; shape [N]."""
     _, top = extent(scene, mass, plan)
-    for other in sorted(scene.masses, key=lambda each: each.lower[1]):
+    for other in sorted(scene.masses, key=lambda body: body.lower[1]):
         if other is not mass and scene.material_of(other).saturated:
             foot, above = extent(scene, other, plan)
             top = np.where((foot <= top + TOLERANCE) & (above > top), above, top)
@@ -152,7 +152,7 @@ def gradient(function: Callable[[Floats], Floats], positions: Floats, step: floa
     here, slopes = function(positions), []
     for direction in step * np.eye(positions.shape[1]):
         ends = [function(positions + side * direction) for side in (-1.0, 1.0)]
-        known = [np.isfinite(end) for end in ends]
-        rise = np.where(known[1], ends[1], here) - np.where(known[0], ends[0], here)
-        slopes.append(rise / np.maximum(step * (1.0 * known[0] + known[1]), step))
+        finite = [np.isfinite(end) for end in ends]
+        rise = np.where(finite[1], ends[1], here) - np.where(finite[0], ends[0], here)
+        slopes.append(rise / np.maximum(step * (1.0 * finite[0] + finite[1]), step))
     return np.stack(slopes, axis=-1)
