@@ -54,8 +54,6 @@ LOOSE = 0.3
 """Share of a cell that is filled below which a force is that on so much material [-]."""
 SMOOTHED = 2
 """Means over three nodes along each level axis that the height of a column is smoothed by."""
-REACHED = 1.0e-3
-"""Depth of a ground below the floor that is one of rounding [cells]."""
 LARGEST = 3.0
 """The weight of the material that a force on the grid approaches at most [-]."""
 
@@ -102,13 +100,18 @@ class Moment:
 
         Its traction rho g |v|^2 / xi over the pressure rho g h of the column of height h (Salm 1993).
         """
-        positions, conditions = self.state.positions, self.conditions
+        conditions = self.conditions
         if conditions.ground is None or conditions.ground.drag is None:
-            return torch.zeros_like(positions[:, 0])
+            return torch.zeros_like(self.velocity[:, 0])
         square = self.velocity.square().sum(dim=1) / self.settings.step**2
         height = REFERENCE_HEIGHT * self.column[:, 2] + self.settings.cell
-        drag = Below(positions, conditions.ground, conditions.batch).value(conditions.ground.drag)
-        return (drag * square / height).clamp(max=LARGEST)
+        return (self.below.value(conditions.ground.drag) * square / height).clamp(max=LARGEST)
+
+    @cached_property
+    def below(self) -> Below:
+        """The places of the particles on the raster of the ground, where there is one."""
+        assert self.conditions.ground is not None
+        return Below(self.state.positions, self.conditions.ground, self.conditions.batch)
 
     @cached_property
     def stencil(self) -> Stencil:
@@ -170,12 +173,10 @@ class Moment:
         upwards = torch.zeros_like(velocity[:1])
         upwards[:, UP] = 1.0
         if conditions.ground is not None and self.settings.bed_friction:
-            below = Below(self.state.positions, conditions.ground, conditions.batch)
-            elevation, slope = below.value_and_slope(conditions.ground.elevation)
-            rough = below.value(conditions.ground.friction) + self.turbulence
-            # Ground below the floor, as that of samples which have none, is out of reach.
-            reached = elevation > -REACHED * self.settings.cell
-            friction, upwards = torch.where(reached, rough, friction), upward(slope)
+            elevation, slope = self.below.value_and_slope(conditions.ground.elevation)
+            rough = self.below.value(conditions.ground.friction) + self.turbulence
+            # The ground is nowhere lower than the floor, but for samples of a batch that have none.
+            friction, upwards = torch.where(elevation >= 0.0, rough, friction), upward(slope)
         trial = trial - (trial * upwards).sum(dim=1, keepdim=True) * upwards
         normal = -(gravity * upwards).sum(dim=1)
         most = (torch.minimum(friction, conditions.friction) * normal.clamp(min=0.0)).unsqueeze(1)
@@ -249,8 +250,8 @@ class Moment:
         friction, bed = conditions.friction, torch.zeros_like(slope)
         rough = conditions.of_particles(conditions.floor_friction)
         if conditions.ground is not None:
-            below = Below(self.state.positions, conditions.ground, conditions.batch)
-            rough, bed = below.value(conditions.ground.friction), below.value_and_slope(conditions.ground.elevation)[1]
+            rough = self.below.value(conditions.ground.friction)
+            bed = self.below.value_and_slope(conditions.ground.elevation)[1]
         sine = friction / (1.0 + friction.square()).sqrt()
         thrust = (1.0 - sine) / (1.0 + sine) * slope.norm(dim=1)
         gravity = conditions.of_particles(conditions.gravity)

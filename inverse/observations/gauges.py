@@ -19,7 +19,7 @@ from datasets.scene.grid_field import Floats
 from datasets.scene.parts import Length
 from datasets.scene.water import saturated
 from inverse.observations.measured_profile import require_inside
-from inverse.observations.observation import Numbers, Observation, Rollout, SmoothObservation, Values, at_times
+from inverse.observations.observation import Numbers, Rollout, SmoothObservation, Values, at_times
 from inverse.observations.settings import LengthsSettings, ObservationSettings, SeriesSettings
 
 SPACING = 0.02
@@ -42,13 +42,20 @@ class Gauges(SmoothObservation):
     label = "the height at gauges"
 
     def __init__(
-        self, scene: Scene, x: Numbers, *, times: Numbers = None, z: float | None = None, spacing: float = SPACING
+        self,
+        scene: Scene,
+        x: Numbers,
+        *,
+        times: Numbers = None,
+        z: float | None = None,
+        spacing: float = SPACING,
+        count: int | None = None,
     ) -> None:
         super().__init__(scene, times)
         require(x is not None, "x", "the x [m] of the gauges", "none")
         self.x = require_inside(np.array(x), scene.domain.size[0])
         if self.times is not None:
-            self.x, self.times = read_at(self.x, self.times)
+            self.x, self.times = read_at(self.x, self.times, count)
         inside = z is None or (scene.dimension == 3 and 0.0 <= z <= scene.domain.size[2])
         require(inside, "z", "a z inside a box in 3D", z)
         self.z, self.spacing, self.count = z, spacing, len(self.x)
@@ -93,13 +100,15 @@ class GaugesSettings(LengthsSettings):
     datum: float = 0.0
     """Height of the floor in a table [`unit`]."""
 
-    operator_type, options = Gauges, ("x", "z", "times", "spacing")
+    operator_type, options = Gauges, ("x", "z", "times", "spacing", "count")
     places: ClassVar = {"x": 0, "z": 2}
     columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
 
-    def operator(self, scene: Scene) -> Observation:
-        return self.operator_type(scene, z=self.z, spacing=self.spacing, **every_time(self, "x"))
+    @property
+    def count(self) -> int:
+        """Of the heights."""
+        return len(self.values or ())
 
     def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
         table = super().table(path, needed, optional)
@@ -223,6 +232,7 @@ class PorePressure(SmoothObservation):
         z: Numbers = None,
         times: Numbers,
         spacing: float | None = None,
+        count: int | None = None,
     ) -> None:
         super().__init__(scene, times)
         require(saturated(scene) is not None, "kind", "a scene with saturated material", "a dry one")
@@ -241,7 +251,7 @@ class PorePressure(SmoothObservation):
             plan = np.stack([columns[key] for key in "xz" if key in columns], axis=1)
             columns["y"] = elevation(scene.solids, scene.domain, plan)
         places = np.stack([columns[key] for key in "xyz" if key in columns], axis=1)
-        gauges, self.times = read_at(places, np.array(times))
+        gauges, self.times = read_at(places, np.array(times), count)
         self.gauges, self.which = np.unique(gauges, axis=0, return_inverse=True)
         self.spacing = AROUND * scene.domain.cell if spacing is None else spacing
         self.count = len(self.times)
@@ -292,31 +302,23 @@ class PorePressureSettings(LengthsSettings):
     spacing: Length | None = None
     """Half width over which a gauge takes the mean [m]; two cells where absent."""
 
-    operator_type, options = PorePressure, ("x", "y", "z", "times", "spacing")
+    operator_type, options = PorePressure, ("x", "y", "z", "times", "spacing", "count")
     places: ClassVar = {"x": 0, "y": 1, "z": 2}
     columns: ClassVar = {"time": "times", "pressure": "values", "x": "x", "y": "y", "z": "z"}
     optional = ("x", "y", "z")
 
-    def operator(self, scene: Scene) -> Observation:
-        return self.operator_type(scene, spacing=self.spacing, **every_time(self, "x", "y", "z"))
+    @property
+    def count(self) -> int:
+        """Of the pressures."""
+        return len(self.values or ())
 
 
-def every_time(settings: GaugesSettings | PorePressureSettings, *places: str) -> dict[str, Any]:
-    """`places` and `times` of gauges, one for each value where as many gauges as times have a value each at each.
+def read_at(gauges: Floats, times: Values, count: int | None) -> tuple[Floats, Values]:
+    """Gauges [G, ...] and times [s]: one for each, or every gauge at every time, one gauge after the other.
 
-    Otherwise as they are: of other numbers of gauges and times every gauge stands for every time.
+    As many gauges as times are the first, unless there is a number for each gauge at each time; count: of the numbers.
     """
-    times, count = settings.times, len(settings.x or ())
-    given = {name: getattr(settings, name) for name in places}
-    if times is None or len(times) != count or len(settings.values or ()) != count**2:
-        return given | {"times": times}
-    given = {name: None if at is None else tuple(np.repeat(at, count).tolist()) for name, at in given.items()}
-    return given | {"times": times * count}
-
-
-def read_at(gauges: Floats, times: Values) -> tuple[Floats, Values]:
-    """Gauges [G, ...] and times [s]: one for each, or every gauge at every time, one gauge after the other."""
-    if len(times) == len(gauges):
+    if len(times) == len(gauges) and count != len(gauges) * len(times):
         return gauges, times
     return np.repeat(gauges, len(times), axis=0), np.tile(times, len(gauges))
 
