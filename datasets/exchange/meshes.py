@@ -83,8 +83,8 @@ def read_obj(path: Path) -> tuple[Floats, Integers]:
 
 def read_apart(path: Path) -> tuple[Floats, Integers]:
     """`triangles_in` in a process of its own, which a damaged file may end: VTK trusts the numbers in it."""
-    own = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"), initializer=begin_reader)
-    with without_main(), own as process:
+    reader = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"), initializer=begin_reader)
+    with without_main(), reader as process:
         try:
             return process.submit(triangles_in, path).result()
         except BrokenProcessPool:

@@ -186,8 +186,8 @@ def check_values(text: bytes, count: int) -> None:
         got = text[end : end + LONGEST_WORD].split()[0].decode(errors="replace")
         raise InputError(f"expected numbers, got {got!r} in line {text.count(NEW_LINE, 0, end) + 1}")
     blank = np.frombuffer(text, np.uint8)[begin:] <= ord(" ")
-    found = int(np.count_nonzero(blank[:-1] & ~blank[1:])) + int(not blank[:1].all())
-    require(found == count, "", f"{count} values, as the header says", found)
+    words = int(np.count_nonzero(blank[:-1] & ~blank[1:])) + int(not blank[:1].all())
+    require(words == count, "", f"{count} values, as the header says", words)
 
 
 def beyond_cliffs(values: Floats, step: float) -> NDArray[np.bool_]:
@@ -208,8 +208,8 @@ def beyond_cliffs(values: Floats, step: float) -> NDArray[np.bool_]:
 
 def height_unit(crs: CRS) -> str:
     """What a reference system names the unit of its heights; empty of metres, and where it has none."""
-    found = HEIGHTS.search(crs.to_wkt())
-    return found[1] if found and float(found[2]) != 1.0 else ""
+    unit = HEIGHTS.search(crs.to_wkt())
+    return unit[1] if unit and float(unit[2]) != 1.0 else ""
 
 
 def check_lengths(crs: Any, east: float, north: float) -> None:

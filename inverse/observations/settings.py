@@ -94,9 +94,9 @@ class ObservationSettings(Record):
     def compared(self, operator: Observation, values: Values) -> Target:
         """`values` [M] with errors that are independent of each other."""
         errors = Covariance(Noise.stated(self.noise).of(values))
-        range_, largest = np.max(operator.limits[1]) - np.min(operator.limits[0]), float(errors.deviation.max())
-        if largest > range_:
-            said = f"a noise of {largest:g} is more than the range of what is possible, {range_:g}"
+        span, largest = np.max(operator.limits[1]) - np.min(operator.limits[0]), float(errors.deviation.max())
+        if largest > span:
+            said = f"a noise of {largest:g} is more than the range of what is possible, {span:g}"
             warnings.warn(f'{self.name or self.kind}: {said}; a percentage is written "{largest:g}%"', stacklevel=2)
         dof = np.full(len(values), self.noise.dof) if isinstance(self.noise, Student) else None
         return Target(observation=operator, values=values, errors=errors, dof=dof)
