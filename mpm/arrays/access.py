@@ -12,7 +12,6 @@ On a GPU a block is one particle and a vector of lanes is a number: the same cod
 
 import taichi as ti
 
-from mpm.arrays.features import NODE
 from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset
 
 TINY = 1.0e-30
@@ -88,12 +87,6 @@ def vectors(array: ti.template(), first, count: ti.template()):
 def present(block, arrays: ti.template()):
     """1 for each particle of a block, 0 for the lanes that only mirror one."""
     return arrays.state[block * arrays.features.state.size + arrays.features.state.present]
-
-
-@ti.func
-def zero_node():
-    """A node's vector of zeros."""
-    return ti.Vector([0.0 for _ in ti.static(range(NODE))])
 
 
 @ti.func

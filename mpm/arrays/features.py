@@ -224,8 +224,8 @@ class Features:
         return Addresses(
             weights=3 * size,  # of the three nodes along each axis,
             levers=3 * size,  # and these times their distances
-            values=NODE * (1 + size),  # what a block gives: a node's value at the lowest one, and D slopes
-            ahead=int(self.processor.prefetch),  # what was read of the next block
+            values=4 * NODE,  # what a block gives: a node's value at the lowest one, and D slopes; then what it takes
+            rows=0 if self.processor.gpu else 4 * NODE,  # the same, of one particle after the other
             lowest=3 * size,  # each particle's lowest node, the grid's velocity at it and its change
             density=(1 + size) * corrected,  # the grid's mass at each particle, its slopes
             gradient=size**2 * corrected,  # of the grid's velocity at each particle

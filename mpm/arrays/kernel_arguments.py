@@ -5,9 +5,11 @@ from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Any
 
+import numpy as np
 import taichi as ti
 
 from mpm.arrays.features import NODE, Features
+from mpm.arrays.layout import Address
 
 
 class ArrayKind(Enum):
@@ -21,6 +23,7 @@ class ArrayKind(Enum):
     REAL_TABLE = "real", 2
     INTEGER = "i32", 1
     INTEGER_TABLE = "i32", 2
+    LONG = "i64", 1
     SINGLE = "f32", 1
     DOUBLE = "f64", 1
     DOUBLE_TABLE = "f64", 2
@@ -34,12 +37,13 @@ def named(**groups: str) -> dict[str, ArrayKind]:
 STEP = named(
     BLOCKS="state scratch impulse",
     LANES="lanes scratch_lanes impulse_lanes",
-    NODES="grid cells",
+    NODES="grid cells rows",
     REAL="cell_distance terrain column_heights drag_posts",
     REAL_TABLE="settings properties faces holds drags inflows",
     INTEGER="cell_faces near_faces node_holds covered arrivals bases",
     INTEGER_TABLE="offsets workers spans barriers retained drag_places",
     DOUBLE_TABLE="settling",
+    LONG="addresses",
 )
 """What a step reads and writes, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""
 RECORD = named(INTEGER="order", SINGLE="positions", DOUBLE="energy", DOUBLE_TABLE="recorded_impulse")
@@ -62,6 +66,7 @@ VIEWS = {
     "impulse_lanes": "impulse",
     "adjoint_lanes": "adjoints",
     "history_lanes": "history",
+    "rows": "scratch",
 }
 """The arrays of LANES: of whose memory each is a view."""
 
@@ -76,11 +81,14 @@ class Arrays:
 
 def arguments(arrays: Mapping[str, ArrayKind], memory: Mapping[str, Any], lanes: int) -> dict[str, Any]:
     """The arrays of a table in its order and in the shape that a kernel takes, from NumPy arrays by name."""
+    addresses = np.array([memory[address.name.lower()].ctypes.data for address in Address])
     reshaped = {}
     for name, kind in arrays.items():
-        array = memory[VIEWS.get(name, name)]
+        array = addresses if kind is ArrayKind.LONG else memory[VIEWS.get(name, name)]
         if kind is ArrayKind.BLOCKS and lanes > 1:
             array = array.reshape(-1, lanes)
+        elif kind is ArrayKind.NODES and name in VIEWS:
+            array = array.reshape(-1)[: array.size // NODE * NODE].reshape(-1, NODE)
         elif kind is not ArrayKind.NODES and kind.value[1] == 1:
             array = array.reshape(-1)
         reshaped[name] = array
@@ -97,7 +105,7 @@ def kernel_of(
     real = ti.f32 if features.precision == "f32" else ti.f64
     block = real if features.processor.gpu else ti.types.vector(features.lanes, real)
     node = ti.types.vector(NODE, real)
-    elements = {"block": block, "lane": real, "node": node, "real": real, "i32": ti.i32, "f32": ti.f32, "f64": ti.f64}
+    elements = {"block": block, "lane": real, "node": node, "real": real, "i32": ti.i32, "i64": ti.i64, "f32": ti.f32, "f64": ti.f64}
     # Taichi 1.7.4 reads a kernel's parameters in its source, refuses *args, and takes no NumPy array inside another:
     # a plain signature would name each of these 36 and 45 parameters three times.
     # `ti.static` makes the object while the kernel is compiled.

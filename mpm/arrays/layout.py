@@ -163,6 +163,12 @@ class Worker(IntEnum):
     IMPULSE = auto()  # its first vector of `impulse`
 
 
+class Address(IntEnum):
+    """Entries of `addresses`: where arrays lie in memory, for functions of `mpm.arrays.bitcode`."""
+
+    GRID, SCRATCH, STATE = 0, auto(), auto()
+
+
 class Span(IntEnum):
     """Columns of `spans`, integers, shape [columns of nodes of all workers, len(Span)]: see `mpm.physics.columns`."""
 

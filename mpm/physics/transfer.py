@@ -28,9 +28,10 @@ single lanes are summed at the nodes. A node is given its value at the lowest on
 
 import taichi as ti
 
-from mpm.arrays.access import add, clamp, columns_deep, no_overflow, vectors, zero_node
-from mpm.arrays.features import NODE, REGISTER
-from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
+from mpm.arrays.access import clamp, columns_deep, no_overflow, vectors
+from mpm.arrays.features import NODE
+from mpm.arrays.nodes import add_to_column, column_sums, fused, fused_first, nodes_of, pair_of, read_ahead, turn, zero_node, zero_pair
+from mpm.arrays.layout import PADDING, Address, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.columns import node_at
 from mpm.physics.contact import distance_in_widths, grain_share, push, total_stress, touches
@@ -96,38 +97,34 @@ def particles_to_grid(worker, scene, arrays: ti.template()):
     features, lanes = arrays.features, arrays.features.lanes
     table, deep = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays)
     scratch = arrays.workers[worker, Worker.SCRATCH]
+    rows = (scratch + features.scratch.rows) * lanes // NODE
+    grid, state = arrays.addresses[Address.GRID], arrays.addresses[Address.STATE]
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         prepare_contributions(scene, block, scratch, arrays)
+        turn("to_rows", scratch + features.scratch.values, scratch + features.scratch.rows, arrays)
         count = particles_in(scene, block, arrays)
         if ti.static(features.inflow):
             if waits(block, arrays):
                 count = 0
         for lane in range(count):
+            if ti.static(features.processor.prefetch):
+                read_ahead(state, block + 1, lane, arrays)
             column, j = lowest_column(arrays, scratch, lane, table, deep)
-            weight = no_overflow(scratch * lanes + lane)
+            weight, row = no_overflow(scratch * lanes + lane), no_overflow(rows + 4 * lane)
             wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
-            value = node_vector(arrays, scratch, 0, lane, False)
-            slope_x = node_vector(arrays, scratch, 1, lane, False)
-            slope_y = node_vector(arrays, scratch, 2, lane, False)
+            value, slope_x, slope_y = arrays.rows[row], arrays.rows[row + 1], arrays.rows[row + 2]
             if ti.static(features.dimension == 2):
                 for a in ti.static(range(3)):
-                    at = node_at(no_overflow(column) + a, j, arrays)
-                    here, y_step = wx[a] * value, wx[a] * slope_y
-                    for c in ti.static(range(3)):
-                        add(arrays.grid, at + c, wy[c] * here, arrays)
-                        here = here + y_step
+                    node = node_at(no_overflow(column) + a, j, arrays)
+                    add_to_column(grid, node, wy, wx[a] * value, wx[a] * slope_y, arrays)
                     value = value + slope_x
             else:
-                wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane, False)
+                wz, slope_z = three_vectors(arrays, weight + 6 * lanes), arrays.rows[row + 3]
                 for a in ti.static(range(3)):
-                    row = no_overflow(column + a * deep)
+                    first = no_overflow(column + a * deep)
                     along, z_step, y_slope = wx[a] * value, wx[a] * slope_z, wx[a] * slope_y
                     for b in ti.static(range(3)):
-                        at = node_at(row + b, j, arrays)
-                        here, y_step = wz[b] * along, wz[b] * y_slope
-                        for c in ti.static(range(3)):
-                            add(arrays.grid, at + c, wy[c] * here, arrays)
-                            here = here + y_step
+                        add_to_column(grid, node_at(first + b, j, arrays), wy, wz[b] * along, wz[b] * y_slope, arrays)
                         along = along + z_step
                     value = value + slope_x
 
@@ -224,6 +221,12 @@ def leave_contributions(
         grip = arrays.settings[scene, Setting.GRIP]
         grains = vectors(arrays.state, first + features.state.stress, features.stresses)
         arrays.scratch[values + features.node.side_friction] = side_friction(grains, volume, grip)
+    if ti.static(not features.processor.gpu):
+        # What is the same for each node, or unused, of the rows.
+        for group in ti.static(range(4)):
+            for k in ti.static(range(NODE)):
+                if ti.static(k >= features.node.size or (group > 0 and (k == features.dimension or k > 2 * features.dimension))):
+                    arrays.scratch[values + group * NODE + k] = 0.0 * mass
     if ti.static(features.turbulent):
         arrays.scratch[values + features.node.distance] = mass * distance_in_widths(scene, block, arrays)
     if ti.static(features.wet_walls):
@@ -280,68 +283,54 @@ def grid_to_block(table, scene, block, scratch, per_dx, kappa, arrays: ti.templa
             w, apart = arrays.scratch[scratch + 3 * k + a], ti.static(float(a)) - f[k]
             arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (4.0 * per_dx) * w * apart
     loose = is_loose(block, arrays)
+    values, rows = scratch + features.scratch.values, (scratch + features.scratch.rows) * lanes // NODE
+    grid, state = arrays.addresses[Address.GRID], arrays.addresses[Address.STATE]
     for lane in range(lanes):
         if ti.static(features.processor.prefetch):
-            read_ahead(scene, block, scratch, lane, arrays)
+            read_ahead(state, block + 1, lane, arrays)
         column, j = lowest_column(arrays, scratch, lane, table, deep)
         weight = no_overflow(scratch * lanes + lane)
-        sums = node_sums(column, j, deep, weight, weight + 3 * features.dimension * lanes, arrays)
-        store_sums(sums[0], sums[1:], first, scratch, lane, loose, arrays)
+        sums = node_sums(grid, column, j, deep, weight, weight + 3 * features.dimension * lanes, arrays)
+        for group in ti.static(range(1 + features.dimension)):
+            if ti.static(features.processor.gpu):
+                for k in ti.static(range(features.node.size)):
+                    arrays.scratch[values + group * NODE + k] = sums[group][k]
+            else:
+                arrays.rows[no_overflow(rows + 4 * lane) + group] = sums[group]
+    if ti.static(not features.processor.gpu):
+        turn("to_lanes", scratch + features.scratch.rows, values, arrays)
+    share_sums(first, scratch, loose, arrays)
     if ti.static(features.volume_correction):
         if loose:
             hold_affine(scene, block, scratch, kappa, arrays)
 
 
 @ti.func
-def read_ahead(scene, block, scratch, lane, arrays: ti.template()):
-    """Read a lane's share of the next block's cache lines, so that they are there when this block is done.
-
-    A processor computes on while it waits for a few, not while it waits for all of a block's at once.
-    """
-    features, lanes = arrays.features, arrays.features.lanes
-    lines = ti.static(-(-features.state.size * REGISTER // (features.lanes * CACHE_LINE)))
-    last = arrays.offsets[scene, Offset.BLOCK] + (arrays.offsets[scene, Offset.PARTICLES] - 1) // lanes
-    at = no_overflow((ti.min(block + 1, last) * lanes + lane) * features.state.size)
-    total = arrays.lanes[at]
-    for k in ti.static(range(1, lines)):
-        total = total + arrays.lanes[at + ti.static(k * features.state.size // lines)]
-    # Kept, though nobody needs it: else nothing would be read.
-    arrays.scratch_lanes[no_overflow(scratch * lanes + lane) + features.scratch.ahead * lanes] = total
-
-
-@ti.func
-def node_sums(column, j, deep, weight, lever, arrays: ti.template()):
+def node_sums(grid, column, j, deep, weight, lever, arrays: ti.template()):
     """Sums over a particle's nodes, from node j of `column` on, times its weights, and times its levers by axis."""
     lanes = arrays.features.lanes
     wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
     lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
-    v, x_slope, y_slope, z_slope = zero_node(), zero_node(), zero_node(), zero_node()
+    both = [pair_of(wy[c], ly[c], arrays) for c in ti.static(range(3))]
+    # The sum and that by levers along y, side by side.
+    v, x_slope, z_slope = zero_pair(), zero_node(), zero_node()
     # Sums along a column first: they share the weights of the others.
     for a in ti.static(range(3)):
-        u, s, t = zero_node(), zero_node(), zero_node()
-        row = no_overflow(column + a * deep)
+        u, t = zero_pair(), zero_node()
+        first = no_overflow(column + a * deep)
         if ti.static(arrays.features.dimension == 2):
-            u, s = column_sums(row, j, wy, ly, arrays)
+            u = column_sums(grid, node_at(first, j, arrays), both, arrays)
         else:
             wz, lz = three_vectors(arrays, weight + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
             for b in ti.static(range(3)):
-                along, up = column_sums(row + b, j, wy, ly, arrays)
-                u = u + wz[b] * along
-                s = s + wz[b] * up
-                t = t + lz[b] * along
-        v = v + wx[a] * u
-        x_slope = x_slope + lx[a] * u
-        y_slope = y_slope + wx[a] * s
-        z_slope = z_slope + wx[a] * t
-    return v, x_slope, y_slope, z_slope
-
-
-@ti.func
-def column_sums(column, j, w: ti.template(), levers: ti.template(), arrays: ti.template()):
-    """Sums of three nodes of a column, from node j on, times weights and times levers."""
-    at = node_at(column, j, arrays)
-    p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
-    return w[0] * p + w[1] * q + w[2] * r, levers[0] * p + levers[1] * q + levers[2] * r
+                along = column_sums(grid, node_at(first + b, j, arrays), both, arrays)
+                u = fused(wz[b], along, u, "add_scaled_pair", arrays)
+                t = fused_first(lz[b], along, t, arrays)
+        v = fused(wx[a], u, v, "add_scaled_pair", arrays)
+        x_slope = fused_first(lx[a], u, x_slope, arrays)
+        z_slope = fused(wx[a], t, z_slope, "add_scaled", arrays)
+    value, y_slope = nodes_of(v, arrays)
+    return value, x_slope, y_slope, z_slope
 
 
 @ti.func
@@ -352,37 +341,35 @@ def three_vectors(arrays: ti.template(), at):
 
 
 @ti.func
-def store_sums(v, slopes: ti.template(), first, scratch, lane, loose, arrays: ti.template()):
-    """Leave the grid's velocity at the particle in `lane`, its change and C, whose column j is D numbers of `slopes` j.
+def share_sums(first, scratch, loose, arrays: ti.template()):
+    """Put the sums of a block in their places: the grid's velocity at each particle, its change, and C.
 
     In a loose block C is left to `hold_affine`; and the grid's mass [kg] and its slopes [kg/m].
     """
-    features, lanes = arrays.features, arrays.features.lanes
+    features = arrays.features
     size = ti.static(features.dimension)
-    lane_at = no_overflow(scratch * lanes + lane)
-    at = lane_at + (features.scratch.lowest + size) * lanes
-    affine = no_overflow(first * lanes + lane) + features.state.affine * lanes
+    values, at = scratch + features.scratch.values, scratch + features.scratch.lowest + size
     if ti.static(features.turbulent):
-        arrays.scratch_lanes[lane_at + features.scratch.layer * lanes] = v[size]
-        arrays.scratch_lanes[lane_at + (features.scratch.layer + 1) * lanes] = v[features.node.distance]
+        arrays.scratch[scratch + features.scratch.layer] = arrays.scratch[values + size]
+        arrays.scratch[scratch + features.scratch.layer + 1] = arrays.scratch[values + features.node.distance]
     for i in ti.static(range(size)):
-        arrays.scratch_lanes[at + i * lanes] = v[i]
-        arrays.scratch_lanes[at + (size + i) * lanes] = v[features.node.change + i]
+        arrays.scratch[at + i] = arrays.scratch[values + i]
+        arrays.scratch[at + size + i] = arrays.scratch[values + features.node.change + i]
     if ti.static(features.volume_correction):
         if loose:
-            arrays.scratch_lanes[lane_at + features.scratch.density * lanes] = v[size]
+            arrays.scratch[scratch + features.scratch.density] = arrays.scratch[values + size]
             for j in ti.static(range(size)):
-                arrays.scratch_lanes[lane_at + (features.scratch.density + 1 + j) * lanes] = slopes[j][size]
+                slope = values + ti.static((1 + j) * NODE)
+                arrays.scratch[scratch + features.scratch.density + 1 + j] = arrays.scratch[slope + size]
                 for i in ti.static(range(size)):
-                    # C itself is still read: the compiler knows not that `state` and `lanes` are one memory.
                     k = ti.static(size * i + j)
-                    arrays.scratch_lanes[lane_at + (features.scratch.gradient + k) * lanes] = slopes[j][i]
-                    arrays.scratch_lanes[lane_at + (features.scratch.changes + k) * lanes] = slopes[j][
-                        features.node.change + i
+                    arrays.scratch[scratch + features.scratch.gradient + k] = arrays.scratch[slope + i]
+                    arrays.scratch[scratch + features.scratch.changes + k] = arrays.scratch[
+                        slope + features.node.change + i
                     ]
     if not loose:
         for i, j in ti.static(ti.ndrange(size, size)):
-            arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i]
+            arrays.state[first + features.state.affine + size * i + j] = arrays.scratch[values + (1 + j) * NODE + i]
 
 
 @ti.func
