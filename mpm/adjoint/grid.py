@@ -26,8 +26,8 @@ import taichi as ti
 from mpm.adjoint.boundary import wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
 from mpm.arrays.access import TINY, box_cells, columns_deep
-from mpm.arrays.nodes import zero_node
 from mpm.arrays.layout import Setting, Span, Worker
+from mpm.arrays.nodes import zero_node
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import apply_walls
 from mpm.physics.contact import apply_solids

@@ -21,8 +21,8 @@ from mpm.adjoint.layout import add_setting_adjoint, adjoints_of
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import add, columns_deep, no_overflow, vectors
 from mpm.arrays.features import NODE
+from mpm.arrays.layout import PADDING, Address, Setting
 from mpm.arrays.nodes import zero_node
-from mpm.arrays.layout import PADDING, Setting
 from mpm.physics.columns import node_at
 from mpm.physics.transfer import lowest_column, node_sums, node_vector, three_vectors
 from mpm.physics.volume_correction import held_affine, looseness
@@ -118,7 +118,15 @@ def gather_moments(block: ti.template(), arrays: ti.template()):
     for lane in range(lanes):
         column, j = lowest_column(arrays, scratch, lane, block.table, deep)
         weight = no_overflow(scratch * lanes + lane)
-        sums = node_sums(arrays.addresses[Address.GRID], column, j, deep, weight, weight + arrays.layout.scratch.levers * lanes, arrays)
+        sums = node_sums(
+            arrays.addresses[Address.GRID],
+            column,
+            j,
+            deep,
+            weight,
+            weight + arrays.layout.scratch.levers * lanes,
+            arrays,
+        )
         for k in ti.static(range(1 + arrays.features.dimension)):
             store_sum(sums[k], k, scratch, lane, arrays)
 

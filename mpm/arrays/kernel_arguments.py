@@ -105,7 +105,16 @@ def kernel_of(
     real = ti.f32 if features.precision == "f32" else ti.f64
     block = real if features.processor.gpu else ti.types.vector(features.lanes, real)
     node = ti.types.vector(NODE, real)
-    elements = {"block": block, "lane": real, "node": node, "real": real, "i32": ti.i32, "i64": ti.i64, "f32": ti.f32, "f64": ti.f64}
+    elements = {
+        "block": block,
+        "lane": real,
+        "node": node,
+        "real": real,
+        "i32": ti.i32,
+        "i64": ti.i64,
+        "f32": ti.f32,
+        "f64": ti.f64,
+    }
     # Taichi 1.7.4 reads a kernel's parameters in its source, refuses *args, and takes no NumPy array inside another:
     # a plain signature would name each of these 36 and 45 parameters three times.
     # `ti.static` makes the object while the kernel is compiled.

@@ -33,7 +33,7 @@ def node_address(grid, node, arrays: ti.template()):
 def add_to_column(grid, node, w: ti.template(), value, step, arrays: ti.template()):
     """Add to `node` of the grid, at that address, and the two above it: w_0 value, w_1 (value + step), and so on."""
     address, here, rise, w0, w1, w2 = node_address(grid, node, arrays), value, step, w[0], w[1], w[2]
-    ti.static(call("add_column", arrays.features.precision))(address, here, rise, w0, w1, w2)
+    ti.static(call("add_to_column", arrays.features.precision))(address, here, rise, w0, w1, w2)
 
 
 @ti.func
@@ -47,7 +47,7 @@ def column_sums(grid, node, weights: ti.template(), arrays: ti.template()):
             total = total + weights[c] * twice
     else:
         address, s0, s1, s2 = node_address(grid, node, arrays), weights[0], weights[1], weights[2]
-        ti.static(call("sum_column", arrays.features.precision))(total, address, s0, s1, s2)
+        ti.static(call("column_sums", arrays.features.precision))(total, address, s0, s1, s2)
     return total
 
 
@@ -59,7 +59,7 @@ def pair_of(one, other, arrays: ti.template()):
         pair = ti.Vector([one if k < NODE else other for k in ti.static(range(2 * NODE))])
     else:
         first, second = one, other
-        ti.static(call("scales", arrays.features.precision))(pair, first, second)
+        ti.static(call("pair_of", arrays.features.precision))(pair, first, second)
     return pair
 
 

@@ -14,8 +14,8 @@ Only the nodes of columns near the material are cleared and updated (`mpm.physic
 import taichi as ti
 
 from mpm.arrays.access import TINY, box_cells, columns_deep
-from mpm.arrays.nodes import zero_node
 from mpm.arrays.layout import PADDING, Offset, Setting, Span, StepControl, Worker
+from mpm.arrays.nodes import zero_node
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import add_impulse, apply_walls, with_friction
 from mpm.physics.columns import node_at

@@ -30,8 +30,19 @@ import taichi as ti
 
 from mpm.arrays.access import clamp, columns_deep, no_overflow, vectors
 from mpm.arrays.features import NODE
-from mpm.arrays.nodes import add_to_column, column_sums, fused, fused_first, nodes_of, pair_of, read_ahead, turn, zero_node, zero_pair
 from mpm.arrays.layout import PADDING, Address, Offset, Property, Setting, Worker, component
+from mpm.arrays.nodes import (
+    add_to_column,
+    column_sums,
+    fused,
+    fused_first,
+    nodes_of,
+    pair_of,
+    read_ahead,
+    turn,
+    zero_node,
+    zero_pair,
+)
 from mpm.physics.channel import side_friction
 from mpm.physics.columns import node_at
 from mpm.physics.contact import distance_in_widths, grain_share, push, total_stress, touches
@@ -225,7 +236,9 @@ def leave_contributions(
         # What is the same for each node, or unused, of the rows.
         for group in ti.static(range(4)):
             for k in ti.static(range(NODE)):
-                if ti.static(k >= features.node.size or (group > 0 and (k == features.dimension or k > 2 * features.dimension))):
+                if ti.static(
+                    k >= features.node.size or (group > 0 and (k == features.dimension or k > 2 * features.dimension))
+                ):
                     arrays.scratch[values + group * NODE + k] = 0.0 * mass
     if ti.static(features.turbulent):
         arrays.scratch[values + features.node.distance] = mass * distance_in_widths(scene, block, arrays)
