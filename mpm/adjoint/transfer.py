@@ -24,7 +24,7 @@ from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Address, Setting
 from mpm.arrays.nodes import zero_node
 from mpm.physics.columns import node_at
-from mpm.physics.transfer import lowest_column, node_sums, node_vector, three_vectors
+from mpm.physics.transfer import lowest_column, node_sums, three_vectors
 from mpm.physics.volume_correction import held_affine, looseness
 
 
@@ -42,6 +42,26 @@ def prepare_weights(block: ti.template(), arrays: ti.template()):
             w = arrays.scratch[scratch + 3 * k + a]
             arrays.scratch[scratch + layout.scratch.slopes + 3 * k + a] = slopes[a]
             arrays.scratch[scratch + layout.scratch.levers + 3 * k + a] = w * (ti.static(float(a)) - f) * dx
+
+
+@ti.func
+def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, varies: ti.template()):
+    """What a block has left for the nodes of the particle in `lane`: value (group 0) or slope along an axis.
+
+    Unless `varies`, each node is given the same mass, side friction and distance but for the weight: without slopes.
+    """
+    features = arrays.features
+    first = ti.static(features.scratch.values + group * NODE)
+    at = no_overflow(scratch * features.lanes + lane)
+    return ti.Vector(
+        [
+            arrays.scratch_lanes[at + (first + k) * features.lanes]
+            if k < features.node.size
+            and (group == 0 or varies or (k != features.dimension and k <= 2 * features.dimension))
+            else 0.0
+            for k in ti.static(range(NODE))
+        ]
+    )
 
 
 @ti.func

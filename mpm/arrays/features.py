@@ -12,16 +12,13 @@ from datasets.geometry.placement import remembers_gaps
 from datasets.scene import INFLOW, Scene
 from datasets.scene.grid_field import FRICTION, THICKNESS
 from datasets.scene.material import MOHR_COULOMB
-from datasets.scene.particles import mass_particle_volumes, particle_count
+from datasets.scene.particles import mass_particle_volumes
 from mpm.arrays.layout import Contact, Precision
 from mpm.laws import law_named, law_of
 from mpm.output.recording import ALL, Recording
 
 REGISTER = 128
 """Bytes of a vector of lanes: two registers of AVX-512, so that one is computed while the other waits for a root."""
-
-PREFETCHED = 50_000
-"""Particles of a scene in 3D from which they are read ahead: its state is beyond the cache. In 2D that does not pay."""
 
 NODE = 8
 """Numbers in a node, momentum, mass and force: a short vector, a power of two long."""
@@ -63,8 +60,6 @@ class Hardware:
     """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
     shared: bool = False
     """One scene, on several threads."""
-    prefetch: bool = False
-    """The next block of particles is read ahead of its turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,6 +211,12 @@ class Features:
             momentum=size, mass=1, change=0, force=size, side_friction=braked, distance=dragged, grains=shared
         )
 
+    @property
+    def not_given(self) -> list[int]:
+        """Numbers of value and slopes that no particle gives: what a node has not, slopes of mass and behind the force."""
+        given = {k for k in range(2 * self.dimension + 1) if k != self.node.mass}
+        return [k for k in range(4 * NODE) if (k % NODE not in given if k >= NODE else k >= self.node.size)]
+
     @cached_property
     def scratch(self) -> Addresses:
         """Vectors of a worker's scratch."""
@@ -278,11 +279,7 @@ def features_of(
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
         gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),
         recorded=Recorded(strain=record.fields, walls=record.wall_forces, until_rest=record.until_rest),
-        processor=Hardware(
-            gpu=gpu,
-            shared=shared,
-            prefetch=not gpu and any(s.dimension == 3 and particle_count(s) >= PREFETCHED for s in scenes),
-        ),
+        processor=Hardware(gpu=gpu, shared=shared),
     )
 
 

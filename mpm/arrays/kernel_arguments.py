@@ -116,7 +116,7 @@ def kernel_of(
         "f64": ti.f64,
     }
     # Taichi 1.7.4 reads a kernel's parameters in its source, refuses *args, and takes no NumPy array inside another:
-    # a plain signature would name each of these 36 and 45 parameters three times.
+    # a plain signature would name each of these 39 and 48 parameters three times.
     # `ti.static` makes the object while the kernel is compiled.
     source = (
         f"def run({', '.join(arrays)}, first, last, phase):\n"

@@ -83,26 +83,6 @@ def lowest_column(arrays: ti.template(), scratch, lane, table, deep):
 
 
 @ti.func
-def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, varies: ti.template()):
-    """What a block has left for the nodes of the particle in `lane`: value (group 0) or slope along an axis.
-
-    Unless `varies`, each node is given the same mass, side friction and distance but for the weight: without slopes.
-    """
-    features = arrays.features
-    first = ti.static(features.scratch.values + group * NODE)
-    at = no_overflow(scratch * features.lanes + lane)
-    return ti.Vector(
-        [
-            arrays.scratch_lanes[at + (first + k) * features.lanes]
-            if k < features.node.size
-            and (group == 0 or varies or (k != features.dimension and k <= 2 * features.dimension))
-            else 0.0
-            for k in ti.static(range(NODE))
-        ]
-    )
-
-
-@ti.func
 def particles_to_grid(worker, scene, arrays: ti.template()):
     """Add mass, momentum and force of every particle of `worker` to its nodes."""
     features, lanes = arrays.features, arrays.features.lanes
@@ -118,8 +98,7 @@ def particles_to_grid(worker, scene, arrays: ti.template()):
             if waits(block, arrays):
                 count = 0
         for lane in range(count):
-            if ti.static(features.processor.prefetch):
-                read_ahead(state, block + 1, lane, arrays)
+            read_ahead(state, block + 1, lane, arrays)
             column, j = lowest_column(arrays, scratch, lane, table, deep)
             weight, row = no_overflow(scratch * lanes + lane), no_overflow(rows + 4 * lane)
             wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
@@ -233,13 +212,8 @@ def leave_contributions(
         grains = vectors(arrays.state, first + features.state.stress, features.stresses)
         arrays.scratch[values + features.node.side_friction] = side_friction(grains, volume, grip)
     if ti.static(not features.processor.gpu):
-        # What is the same for each node, or unused, of the rows.
-        for group in ti.static(range(4)):
-            for k in ti.static(range(NODE)):
-                if ti.static(
-                    k >= features.node.size or (group > 0 and (k == features.dimension or k > 2 * features.dimension))
-                ):
-                    arrays.scratch[values + group * NODE + k] = 0.0 * mass
+        for k in ti.static(features.not_given):
+            arrays.scratch[values + k] = 0.0 * mass
     if ti.static(features.turbulent):
         arrays.scratch[values + features.node.distance] = mass * distance_in_widths(scene, block, arrays)
     if ti.static(features.wet_walls):
@@ -299,7 +273,7 @@ def grid_to_block(table, scene, block, scratch, per_dx, kappa, arrays: ti.templa
     values, rows = scratch + features.scratch.values, (scratch + features.scratch.rows) * lanes // NODE
     grid, state = arrays.addresses[Address.GRID], arrays.addresses[Address.STATE]
     for lane in range(lanes):
-        if ti.static(features.processor.prefetch):
+        if ti.static(not features.processor.gpu):
             read_ahead(state, block + 1, lane, arrays)
         column, j = lowest_column(arrays, scratch, lane, table, deep)
         weight = no_overflow(scratch * lanes + lane)
