@@ -213,7 +213,7 @@ class Features:
 
     @property
     def not_given(self) -> list[int]:
-        """Numbers of value and slopes that no particle gives: what a node has not, slopes of mass and behind the force."""
+        """Numbers of value and slopes that no particle gives: what a node has not, slopes but of momentum and force."""
         given = {k for k in range(2 * self.dimension + 1) if k != self.node.mass}
         return [k for k in range(4 * NODE) if (k % NODE not in given if k >= NODE else k >= self.node.size)]
 
