@@ -19,6 +19,7 @@ from mpm.arrays.layout import (
     GROWTH,
     INDEX_LIMIT,
     PADDING,
+    Beside,
     Contact,
     Energy,
     Offset,
@@ -172,7 +173,10 @@ class Batch:
             raise InputError(f"expected a smaller run: {room.sum()} nodes in use, of at most {2**31 // NODE}")
         self.workers[:, Worker.NODE] = np.cumsum(room) - room
         self.grid = aligned((int(room.sum()), NODE), self.state.dtype)
-        self.cells = aligned((2 * len(self.grid) if self.features.wet else 1, NODE), self.state.dtype)
+        cells = len(self.grid) if self.features.wet else 0
+        # The last one stays dry.
+        self.cells = aligned((2 * (cells + 1), NODE), self.state.dtype)
+        self.beside = np.zeros((cells + 1, len(Beside)), np.int32)
 
     def grow_grid(self) -> bool:
         """Give the workers whose columns need more nodes than they have room for more room; whether there were any."""

@@ -41,7 +41,7 @@ STEP = named(
     REAL="cell_distance terrain column_heights drag_posts",
     REAL_TABLE="settings properties faces holds drags inflows",
     INTEGER="cell_faces near_faces node_holds covered arrivals bases",
-    INTEGER_TABLE="offsets workers spans barriers retained drag_places",
+    INTEGER_TABLE="offsets workers spans beside barriers retained drag_places",
     DOUBLE_TABLE="settling",
     LONG="addresses",
 )
@@ -116,7 +116,7 @@ def kernel_of(
         "f64": ti.f64,
     }
     # Taichi 1.7.4 reads a kernel's parameters in its source, refuses *args, and takes no NumPy array inside another:
-    # a plain signature would name each of these 39 and 48 parameters three times.
+    # a plain signature would name each of these 40 and 49 parameters three times.
     # `ti.static` makes the object while the kernel is compiled.
     source = (
         f"def run({', '.join(arrays)}, first, last, phase):\n"

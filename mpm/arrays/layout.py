@@ -207,8 +207,16 @@ class Pore(IntEnum):
     CHANGE = 8  # of the pressure in a step [Pa]
     SOURCE = 9  # of it, explicit in time [Pa]
     SHARE = 10  # of the cell that is full [-]
-    FACES = 11  # base 8, the digit of face f: a `Face`
+    PER_DIAGONAL = 11  # 1 over the diagonal of the system [-]
     SLOPE_X, SLOPE_Y, SLOPE_Z = 12, 13, 14  # of the pressure [Pa per cell]
+
+
+class Beside(IntEnum):
+    """Columns of `beside`, integers, a line for each cell: what lies around it; and a list of the cells in use."""
+
+    BELOW_X, ABOVE_X, BELOW_Y, ABOVE_Y, BELOW_Z, ABOVE_Z = range(6)  # the cell with water beyond a face, else none
+    COLUMN = 6  # its own
+    LISTED = 7  # line n: the n-th cell of every other one with water; from the end on the others
 
 
 class Face(IntEnum):

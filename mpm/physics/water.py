@@ -55,13 +55,14 @@ reason all that opens at a solid is strain.
 import taichi as ti
 
 from datasets.scene.water import DENSITY
-from mpm.arrays.access import TINY, clamp, columns_deep, dot, maximum, minimum, no_overflow
+from mpm.arrays.access import TINY, clamp, columns_deep, dot, maximum, minimum, no_overflow, vectors
 from mpm.arrays.features import NODE
-from mpm.arrays.layout import PADDING, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
+from mpm.arrays.layout import PADDING, Beside, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
+from mpm.arrays.nodes import turn
 from mpm.physics.boundary import is_wall
 from mpm.physics.columns import node_at
 from mpm.physics.contact import contact_at, suction_held
-from mpm.physics.transfer import particles_in, property_of, volume_of
+from mpm.physics.transfer import lowest_column, particles_in, property_of, volume_of
 
 MOST = 10.0
 """Diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice."""
@@ -85,24 +86,20 @@ def number(array: ti.template(), cell, which: ti.template()):
 def find_cells(scene, block, scratch, arrays: ti.template()):
     """Leave in `scratch` the cells of a block, D vectors, and its places from their middles [cells], D more."""
     features = arrays.features
-    first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
+    first, at = no_overflow(block * features.state.size), scratch + features.scratch.lowest
     for k in ti.static(range(features.dimension)):
         f = arrays.state[first + k] / arrays.settings[scene, Setting.CELL] + PADDING
         last = ti.cast(arrays.offsets[scene, Offset.CELLS_X + k] + (PADDING - 1), float)
         cell = clamp(ti.floor(f), 1.0 * PADDING, last)
-        arrays.scratch[values + k] = cell
-        arrays.scratch[values + features.dimension + k] = f - cell - 0.5
+        arrays.scratch[at + k] = cell
+        arrays.scratch[at + features.dimension + k] = f - cell - 0.5
 
 
 @ti.func
 def cell_of(scratch, lane, table, deep, arrays: ti.template()):
     """The cell of the particle in `lane`, after `find_cells`."""
-    features = arrays.features
-    at = no_overflow(scratch * features.lanes + lane) + features.scratch.values * features.lanes
-    column = table + ti.cast(arrays.scratch_lanes[at], ti.i32) * deep
-    if ti.static(features.dimension == 3):
-        column += ti.cast(arrays.scratch_lanes[at + 2 * features.lanes], ti.i32)
-    return node_at(column, ti.cast(arrays.scratch_lanes[at + features.lanes], ti.i32), arrays)
+    column, j = lowest_column(arrays, scratch, lane, table, deep)
+    return node_at(column, j, arrays)
 
 
 @ti.func
@@ -110,38 +107,42 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
     """Add the volume, volume strain, pressure and place of the saturated particles of a block to their cells."""
     features, lanes, deep = arrays.features, arrays.features.lanes, columns_deep(scene, arrays)
     first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
+    rows, places = (scratch + features.scratch.rows) * lanes // NODE, scratch + features.scratch.lowest
     find_cells(scene, block, scratch, arrays)
     weight = volume_of(scene, block, arrays) * arrays.state[first + features.state.saturated]
-    none, one = 0.0 * weight, 0.0 * weight + 1.0
-    closed = none
+    arrays.scratch[values + Pore.VOLUME] = weight
+    arrays.scratch[values + Pore.STRAIN] = weight * arrays.state[first + features.state.volume_strain]
+    arrays.scratch[values + Pore.PRESSURE] = weight * arrays.state[first + features.state.pore_pressure]
+    arrays.scratch[values + Pore.CLOSED] = 0.0 * weight
+    for k in ti.static(range(features.dimension)):
+        arrays.scratch[values + Pore.CENTRE_X + k] = weight * arrays.scratch[places + features.dimension + k]
+    stress = vectors(arrays.state, first + features.state.stress, 3)
+    arrays.scratch[values + Pore.SUCTION] = weight * suction_held(stress, True)
+    faces = places + 2 * features.dimension
     if ti.static(features.contact):
-        near = arrays.state[contact_at(block, Contact.DELTA, arrays)] > 0.0
-        for k in ti.static(range(features.dimension)):
-            normal = arrays.state[contact_at(block, Contact.NORMAL + k, arrays)]
-            closed = closed + ti.select(near & (normal > LEANING), one * 4**k, none)
-            closed = closed + ti.select(near & (normal < 0.0 - LEANING), one * (2 * 4**k), none)
-    free = ti.static(2 * features.dimension)
-    arrays.scratch[values + free], arrays.scratch[values + free + 1] = weight, closed
+        arrays.scratch[faces] = closed_faces(block, arrays)
+    turn("to_rows", values, scratch + features.scratch.rows, arrays)
     for lane in range(particles_in(scene, block, arrays)):
-        values_at = no_overflow(scratch * lanes + lane) + features.scratch.values * lanes
-        volume = arrays.scratch_lanes[values_at + free * lanes]
-        if volume > 0.0:
-            at = cell_of(scratch, lane, table, deep, arrays)
-            state = no_overflow(first * lanes + lane)
-            sums = arrays.cells[2 * at]
-            sums[Pore.VOLUME] += volume
-            sums[Pore.STRAIN] += volume * arrays.lanes[state + features.state.volume_strain * lanes]
-            sums[Pore.PRESSURE] += volume * arrays.lanes[state + features.state.pore_pressure * lanes]
-            bits = ti.cast(sums[Pore.CLOSED], ti.i32) | ti.cast(
-                arrays.scratch_lanes[values_at + (free + 1) * lanes], ti.i32
-            )
-            sums[Pore.CLOSED] = ti.cast(bits, float)
-            at_stress = state + features.state.stress * lanes
-            held = suction_held([arrays.lanes[at_stress + k * lanes] for k in ti.static(range(3))], True)
-            sums[Pore.SUCTION] += volume * held
-            for k in ti.static(range(features.dimension)):
-                sums[Pore.CENTRE_X + k] += volume * arrays.scratch_lanes[values_at + (features.dimension + k) * lanes]
-            arrays.cells[2 * at] = sums
+        cell = cell_of(scratch, lane, table, deep, arrays)
+        arrays.cells[2 * cell] = arrays.cells[2 * cell] + arrays.rows[no_overflow(rows + 4 * lane)]
+        if ti.static(features.contact):
+            closed = ti.cast(arrays.scratch_lanes[no_overflow(faces * lanes + lane)], ti.i32)
+            if closed > 0 and arrays.rows[no_overflow(rows + 4 * lane)][Pore.VOLUME] > 0.0:
+                sums = arrays.cells[2 * cell]
+                sums[Pore.CLOSED] = ti.cast(ti.cast(sums[Pore.CLOSED], ti.i32) | closed, float)
+                arrays.cells[2 * cell] = sums
+
+
+@ti.func
+def closed_faces(block, arrays: ti.template()):
+    """The faces of their cells that solids close which the particles of a block touch, as `Pore.CLOSED`."""
+    delta = arrays.state[contact_at(block, Contact.DELTA, arrays)]
+    near, none, closed = delta > 0.0, 0.0 * delta, 0.0 * delta
+    for k in ti.static(range(arrays.features.dimension)):
+        normal = arrays.state[contact_at(block, Contact.NORMAL + k, arrays)]
+        closed = closed + ti.select(near & (normal > LEANING), none + ti.static(4.0**k), none)
+        closed = closed + ti.select(near & (normal < 0.0 - LEANING), none + ti.static(2.0 * 4.0**k), none)
+    return closed
 
 
 @ti.func
@@ -150,37 +151,49 @@ def update_water(worker, scene, dt, arrays: ti.template()):
     square = arrays.settings[scene, Setting.CELL] ** 2
     diffusion = ti.min(dt * arrays.settings[scene, Setting.WATER_DIFFUSION] / square, MOST)
     stiffness = diffusion + dt * dt * arrays.settings[scene, Setting.WATER_WAVE] / square
-    over_cells(worker, scene, mean_of_cell, diffusion, arrays)
-    over_cells(worker, scene, source_of_cell, diffusion, arrays)
+    first = arrays.workers[worker, Worker.NODE]
+    end = first + arrays.workers[worker, Worker.USED]
+    even, odd = list_cells(worker, scene, first, end, arrays)
+    for n in range(even + odd):
+        line = first + n if n < even else end - 1 - (n - even)
+        source_of_cell(arrays.beside[line, Beside.LISTED], worker, scene, stiffness, diffusion, arrays)
     sweeps = ti.min(FEWEST_SWEEPS + ti.cast(SWEEPS * stiffness, ti.i32), MOST_SWEEPS)
     for half in range(2 * sweeps + 1):
-        relax(worker, scene, stiffness, diffusion, half % 2, arrays)
+        of_evens = half % 2 == 0
+        for n in range(even if of_evens else odd):
+            line = first + n if of_evens else end - 1 - n
+            relax_cell(arrays.beside[line, Beside.LISTED], stiffness, arrays)
     table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         take_from_cells(scene, table, block, scratch, 1.0 - diffusion / stiffness, arrays)
 
 
 @ti.func
-def over_cells(worker, scene, operation: ti.template(), diffusion, arrays: ti.template()):
-    """Call operation(cell, place, table, scene, diffusion, arrays) for each cell with water; place: column, j."""
-    first = arrays.workers[worker, Worker.COLUMN]
+def list_cells(worker, scene, first, end, arrays: ti.template()):
+    """List the cells with water, every other one from line `first` on, the rest from `end` back; how many each are.
+
+    Their sums become means.
+    """
+    table, deep, even, odd = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays), 0, 0
     for n in range(arrays.workers[worker, Worker.ACTIVE]):
-        column = arrays.spans[first + n, Span.ACTIVE]
+        column = arrays.spans[table + n, Span.ACTIVE]
         for j in range(arrays.spans[column, Span.LOW], arrays.spans[column, Span.HIGH]):
             cell = node_at(column, j, arrays)
-            if number(arrays.cells, cell, Pore.VOLUME) > 0.0:
-                operation(cell, ti.Vector([column, j]), first, scene, diffusion, arrays)
-
-
-@ti.func
-def mean_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
-    """Means of a cell in place of its sums."""
-    sums = arrays.cells[2 * cell]
-    per_volume = 1.0 / sums[Pore.VOLUME]
-    for k in ti.static((Pore.STRAIN, Pore.PRESSURE, Pore.CENTRE_X, Pore.CENTRE_Y, Pore.CENTRE_Z, Pore.SUCTION)):
-        if ti.static(k < Pore.CENTRE_X + arrays.features.dimension or k == Pore.SUCTION):
-            sums[k] *= per_volume
-    arrays.cells[2 * cell] = sums
+            sums = arrays.cells[2 * cell]
+            if sums[Pore.VOLUME] > 0.0:
+                per_volume = 1.0 / sums[Pore.VOLUME]
+                means = per_volume * sums
+                means[Pore.VOLUME], means[Pore.CLOSED] = sums[Pore.VOLUME], sums[Pore.CLOSED]
+                arrays.cells[2 * cell] = means
+                arrays.beside[cell, Beside.COLUMN] = column
+                line = first + even
+                if (j + (column - table) // deep + (column - table) % deep) % 2 == 0:
+                    even += 1
+                else:
+                    odd += 1
+                    line = end - odd
+                arrays.beside[line, Beside.LISTED] = cell
+    return even, odd
 
 
 @ti.func
@@ -229,22 +242,27 @@ def below_surface(sums, face: ti.template()):
 
 
 @ti.func
-def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
-    """The change of the pressure of a cell explicit in time, its slope, and what lies around it."""
+def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.template()):
+    """The change of the pressure of a cell explicit in time, its slope, the diagonal of the system, its neighbours."""
     features, dx = arrays.features, arrays.settings[scene, Setting.CELL]
-    sums, code = arrays.cells[2 * cell], 0
+    sums, table = arrays.cells[2 * cell], arrays.workers[worker, Worker.COLUMN]
+    column, dry = arrays.beside[cell, Beside.COLUMN], arrays.beside.shape[0] - 1
+    place = ti.Vector([column, cell - arrays.bases[column]])
     pressure, inflow, given = sums[Pore.PRESSURE], 0.0 * sums[Pore.PRESSURE], arrays.cells[2 * cell + 1]
     pull = ti.Vector([arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0 * dx])
-    full = 1.0 + 0.0 * pressure
+    full, diagonal = 1.0 + 0.0 * pressure, 0.0 * pressure
     for axis in ti.static(range(features.dimension)):
         rise, run = 0.0 * pressure, 0.0 * pressure
         for side in ti.static(range(2)):
             face = ti.static(2 * axis + side)
             away = ti.static(2 * side - 1)
             kind = beyond_face(cell, place, face, table, scene, arrays)
-            code += kind << (3 * face)
+            arrays.beside[cell, face] = dry
             if kind == Face.CELL:
-                other = arrays.cells[2 * neighbour(place, face, 1, table, scene, arrays)]
+                next_cell = neighbour(place, face, 1, table, scene, arrays)
+                arrays.beside[cell, face] = next_cell
+                diagonal += stiffness
+                other = arrays.cells[2 * next_cell]
                 apart = ti.max(1.0 + away * (other[Pore.CENTRE_X + axis] - sums[Pore.CENTRE_X + axis]), 0.25)
                 weight = 0.0 * pressure
                 for k in ti.static(range(features.dimension)):
@@ -265,10 +283,16 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
                 if kind == Face.SURFACE:
                     distance = below_surface(sums, face)
                     full *= ti.min(2.0 * distance, 1.0)
+                    diagonal += stiffness / distance
+                else:
+                    diagonal += diffusion / distance
                 head = ti.max(pressure, 0.0 - sums[Pore.SUCTION])
                 outflow = head / distance + DENSITY * dx * pull[axis] * away
                 if (outflow > 0.0 and pressure > 0.0) or (outflow < 0.0 and kind == Face.SURFACE):
                     inflow -= outflow
+            elif kind == Face.GAP:
+                # Water does not pass it, but what is beside it gives way.
+                diagonal += (stiffness - diffusion) / below_surface(sums, face)
             elif kind == Face.TIGHT:
                 rise += arrays.settings[scene, Setting.SEEPAGE] * DENSITY * dx * pull[axis]
                 run += arrays.settings[scene, Setting.SEEPAGE]
@@ -276,52 +300,19 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
             given[Pore.SLOPE_X + axis - NODE] = rise / run
     source = diffusion * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
     given[Pore.CHANGE - NODE], given[Pore.SOURCE - NODE] = source / full, source
-    given[Pore.SHARE - NODE], given[Pore.FACES - NODE] = full, ti.cast(code, float)
+    given[Pore.SHARE - NODE], given[Pore.PER_DIAGONAL - NODE] = full, 1.0 / (full + diagonal)
     arrays.cells[2 * cell + 1] = given
 
 
 @ti.func
-def relax(worker, scene, stiffness, diffusion, colour, arrays: ti.template()):
-    """One step of Gauss and Seidel for the changes of the pressure in the cells of a colour, every other one."""
-    first, deep = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays)
-    for n in range(arrays.workers[worker, Worker.ACTIVE]):
-        column = arrays.spans[first + n, Span.ACTIVE]
-        start = arrays.spans[column, Span.LOW]
-        start += (start + (column - first) // deep + (column - first) % deep + colour) % 2
-        for pair in range((arrays.spans[column, Span.HIGH] - start + 1) // 2):
-            cell = node_at(column, start + 2 * pair, arrays)
-            if number(arrays.cells, cell, Pore.SHARE) > 0.0:
-                relax_cell(cell, column, start + 2 * pair, deep, stiffness, diffusion, arrays)
-
-
-@ti.func
-def relax_cell(cell, column, j, deep, stiffness, diffusion, arrays: ti.template()):
-    """The same for one of them; j: its place in a column of nodes."""
-    sums, given = arrays.cells[2 * cell], arrays.cells[2 * cell + 1]
-    code, total, diagonal = (
-        ti.cast(given[Pore.FACES - NODE], ti.i32),
-        given[Pore.SOURCE - NODE],
-        given[Pore.SHARE - NODE],
-    )
+def relax_cell(cell, stiffness, arrays: ti.template()):
+    """One step of Gauss and Seidel for the change of the pressure in a cell."""
+    given = arrays.cells[2 * cell + 1]
+    total = 0.0 * stiffness
     for face in ti.static(range(2 * arrays.features.dimension)):
-        kind = (code >> (3 * face)) & 7
-        if kind == Face.CELL:
-            other = cell + ti.static(2 * (face % 2) - 1)
-            if ti.static(face // 2 == 0):
-                other = node_at(column + ti.static(2 * (face % 2) - 1) * deep, j, arrays)
-            if ti.static(face // 2 == 2):
-                other = node_at(column + ti.static(2 * (face % 2) - 1), j, arrays)
-            total += stiffness * number(arrays.cells, other, Pore.CHANGE)
-            diagonal += stiffness
-        elif kind == Face.SURFACE:
-            diagonal += stiffness / below_surface(sums, face)
-        elif kind == Face.DRAIN:
-            diagonal += diffusion / 0.5
-        elif kind == Face.GAP:
-            # Water does not pass it, but what is beside it gives way.
-            diagonal += (stiffness - diffusion) / below_surface(sums, face)
-    given[Pore.CHANGE - NODE] = total / diagonal
-    arrays.cells[2 * cell + 1] = given
+        total += number(arrays.cells, arrays.beside[cell, face], Pore.CHANGE)
+    total = (given[Pore.SOURCE - NODE] + stiffness * total) * given[Pore.PER_DIAGONAL - NODE]
+    arrays.cells[2 * cell + 1][Pore.CHANGE - NODE] = total
 
 
 @ti.func
@@ -329,38 +320,36 @@ def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
     """Pore pressure of the particles of a block from that of their cells; their grains get the strain of these."""
     features, lanes, deep = arrays.features, arrays.features.lanes, columns_deep(scene, arrays)
     first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
+    rows, places = (scratch + features.scratch.rows) * lanes // NODE, scratch + features.scratch.lowest
     find_cells(scene, block, scratch, arrays)
-    free = ti.static(2 * features.dimension)
-    arrays.scratch[values + free] = volume_of(scene, block, arrays) * arrays.state[first + features.state.saturated]
-    arrays.scratch[values + free + 1] = 0.0 * arrays.state[first]
-    for lane in range(particles_in(scene, block, arrays)):
-        values_at = no_overflow(scratch * lanes + lane) + features.scratch.values * lanes
-        if arrays.scratch_lanes[values_at + free * lanes] > 0.0:
-            at, state = cell_of(scratch, lane, table, deep, arrays), no_overflow(first * lanes + lane)
-            means, given = arrays.cells[2 * at], arrays.cells[2 * at + 1]
-            change, modulus = given[Pore.CHANGE - NODE], arrays.settings[scene, Setting.WATER_MODULUS]
-            p = means[Pore.PRESSURE] + change
-            for k in ti.static(range(features.dimension)):
-                apart = arrays.scratch_lanes[values_at + (features.dimension + k) * lanes] - means[Pore.CENTRE_X + k]
-                p += given[Pore.SLOPE_X + k - NODE] * apart
-            least = ti.static(-1.0 * features.dilates) * means[Pore.SUCTION]
-            before = arrays.lanes[state + features.state.pore_pressure * lanes]
-            mixed = p - change - before - (ti.max(p, least) - ti.max(before, least))
-            removed = waves * (change - given[Pore.SOURCE - NODE] / given[Pore.SHARE - NODE])
-            arrays.lanes[state + features.state.pore_pressure * lanes] = p
-            if ti.static(features.contact):
-                foot, at_contact = p, contact_at(block, 0, arrays) * lanes + lane
-                if arrays.lanes[at_contact + Contact.DELTA * lanes] > 0.0:
-                    away = arrays.lanes[at_contact + Contact.DISTANCE * lanes] / arrays.settings[scene, Setting.CELL]
-                    for k in ti.static(range(features.dimension)):
-                        normal = arrays.lanes[at_contact + (Contact.NORMAL + k) * lanes]
-                        foot -= given[Pore.SLOPE_X + k - NODE] * normal * away
-                arrays.lanes[state + features.state.foot_pressure * lanes] = ti.max(foot, least) - ti.max(p, least)
-            strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
-            strain -= (mixed + removed) / modulus
-            arrays.scratch_lanes[values_at + (free + 1) * lanes] = strain
-            arrays.lanes[state + features.state.volume_strain * lanes] = DAMPING * given[Pore.CHANGE - NODE]
-    share_strain(scene, block, arrays.scratch[values + free + 1], arrays)
+    for lane in range(lanes):
+        cell, row = cell_of(scratch, lane, table, deep, arrays), no_overflow(rows + 4 * lane)
+        arrays.rows[row], arrays.rows[row + 1] = arrays.cells[2 * cell], arrays.cells[2 * cell + 1]
+    turn("to_lanes", scratch + features.scratch.rows, values, arrays)
+    of_cell = vectors(arrays.scratch, values, 2 * NODE)
+    wet = volume_of(scene, block, arrays) * arrays.state[first + features.state.saturated] > 0.0
+    change, modulus = of_cell[Pore.CHANGE], arrays.settings[scene, Setting.WATER_MODULUS]
+    p = of_cell[Pore.PRESSURE] + change
+    for k in ti.static(range(features.dimension)):
+        apart = arrays.scratch[places + features.dimension + k] - of_cell[Pore.CENTRE_X + k]
+        p = p + of_cell[Pore.SLOPE_X + k] * apart
+    least = ti.static(-1.0 * features.dilates) * of_cell[Pore.SUCTION]
+    pressure, strained = first + features.state.pore_pressure, first + features.state.volume_strain
+    before = arrays.state[pressure]
+    mixed = p - change - before - (maximum(p, least) - maximum(before, least))
+    removed = waves * (change - of_cell[Pore.SOURCE] / of_cell[Pore.SHARE])
+    strain = of_cell[Pore.STRAIN] - arrays.state[strained] - (mixed + removed) / modulus
+    arrays.state[pressure] = ti.select(wet, p, before)
+    arrays.state[strained] = ti.select(wet, DAMPING * change, arrays.state[strained])
+    if ti.static(features.contact):
+        foot, none = p, 0.0 * p
+        away = arrays.state[contact_at(block, Contact.DISTANCE, arrays)] / arrays.settings[scene, Setting.CELL]
+        for k in ti.static(range(features.dimension)):
+            foot = foot - of_cell[Pore.SLOPE_X + k] * arrays.state[contact_at(block, Contact.NORMAL + k, arrays)] * away
+        near = wet & (arrays.state[contact_at(block, Contact.DELTA, arrays)] > 0.0)
+        higher = maximum(foot, least) - maximum(p, least)
+        arrays.state[first + features.state.foot_pressure] = ti.select(near, higher, none)
+    share_strain(scene, block, ti.select(wet, strain, 0.0 * strain), arrays)
 
 
 @ti.func
