@@ -65,8 +65,7 @@ WIDTH, HIGHEST = 9.0, 9.0
 CONTOURS = 12
 """About as many contour lines of the ground."""
 
-Moment = tuple[float, NDArray[Any], NDArray[Any] | None]
-"""Time [s], positions [m] and, where they are known, velocities [m/s] of the particles, shape [N, 3]."""
+Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,21 +125,19 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     require(least * (1.0 - 1.0e-9) <= cell <= min(sides), "--cell", expected, f"{cell:g} m")
     grid = Grid((0.5 * cell,) * 2, (cell,) * 2, tuple(math.ceil(side / cell - 1.0e-6) for side in sides))
     depth, fastest, start, arrival = np.zeros(grid.nodes), None, None, np.full(grid.nodes, np.nan)
-    for time, positions, velocity in moments(fields, cell, progress):
-        share = positions / np.array(scene.domain.size)
-        here = trajectory.entered(time)
-        inside = ((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1) & here
-        spread = grid.weights(positions[inside][:, ::2].astype(np.float64)).T
-        volume = (spread @ volumes[inside]).reshape(grid.nodes)
-        thickness = volume / cell**2
+    limits = np.outer((-OUTSIDE, 1.0 + OUTSIDE), scene.domain.size)
+    for time, given, known in plan_sums(fields, grid, limits, progress):
+        thickness = given[..., 0] / cell**2
         depth = np.maximum(depth, thickness)
         arrival[np.isnan(arrival) & (thickness > threshold)] = time
         if time == 0.0:
             start = thickness
-        if velocity is not None:
-            momentum = np.linalg.norm(spread @ (volumes[inside, None] * velocity[inside]), axis=1).reshape(grid.nodes)
-            speed = np.divide(momentum, volume, out=np.zeros_like(volume), where=thickness > threshold)
+        if known:
+            momentum = np.linalg.norm(given[..., 1:], axis=2)
+            speed = np.divide(momentum, given[..., 0], out=np.zeros_like(momentum), where=thickness > threshold)
             fastest = speed if fastest is None else np.maximum(fastest, speed)
+    last, here = trajectory.positions[-1], trajectory.entered(float(trajectory.time[-1]))
+    inside = ((last >= limits[0]) & (last <= limits[1])).all(axis=1) & here
     corner, crs = map_corner(scene)
     steep = np.hypot(*slopes_in_plan(scene, grid))
     return PlanMaps(
@@ -160,29 +157,37 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     )
 
 
-def moments(fields: FlowFields, cell: float, progress: bool) -> Iterator[Moment]:
-    """The frames of a flow and, where it crosses cells of an edge `cell` [m] from one to the next, times between."""
-    flow, before = fields.trajectory, None
+def plan_sums(fields: FlowFields, grid: Grid, limits: Floats, progress: bool) -> Iterator[tuple[float, Floats, bool]]:
+    """Times [s], what the particles give to the cells then, and whether their velocity is known (`add_to_plan`).
+
+    The times are those of the frames and, where the flow crosses cells from one to the next, times between.
+    """
+    # Compiled: who asks for help does not wait for the compiler.
+    from datasets.flow.plan import add_to_plan
+
+    flow, cell = fields.trajectory, grid.spacing[0]
+    begin, places, velocity = moment(fields, 0)
     for frame in tqdm(range(len(flow.time)), desc="maps", unit="frame", disable=not progress):
-        here = float(flow.time[frame]), np.asarray(flow.positions[frame]), fields.velocity(frame)
-        if before is not None:
-            yield from moments_between(before, here, cell)
-        yield here
-        before = here
+        end, there, faster = moment(fields, frame)
+        count, known = 1, len(faster) > 0
+        if known and len(velocity) > 0:
+            moved = float(np.quantile(np.linalg.norm(there - places, axis=1), FAST))
+            count = min(max(math.ceil(moved / cell), 1), BETWEEN)
+        for share in np.arange(1, count + 1) / count:
+            time = begin + share * (end - begin)
+            sums = np.zeros((*grid.nodes, 4 if known else 1))
+            volumes = np.where(flow.entered(time), flow.volumes, 0.0)
+            add_to_plan((places, there), (velocity, faster), share, end - begin, volumes, limits, cell, sums)
+            yield time, sums, known
+        begin, places, velocity = end, there, faster
 
 
-def moments_between(first: Moment, second: Moment, cell: float) -> Iterator[Moment]:
-    """Times between two frames, so that fast particles move by a cell from one to the next; at most BETWEEN - 1."""
-    (begin, from_, velocity), (end, to, faster) = first, second
-    if velocity is None or faster is None:
-        return
-    moved = float(np.quantile(np.linalg.norm(to - from_, axis=1), FAST))
-    count, elapsed = min(BETWEEN, math.ceil(moved / cell)), end - begin
-    for share in np.arange(1, count) / count:
-        rest = 1.0 - share
-        bend = share * rest * elapsed * (rest * velocity - share * faster)
-        line = rest**2 * (1.0 + 2.0 * share) * from_ + share**2 * (3.0 - 2.0 * share) * to
-        yield begin + share * elapsed, line + bend, rest * velocity + share * faster
+def moment(fields: FlowFields, frame: int) -> tuple[float, Singles, Singles]:
+    """Time [s], positions [m], shape [N, 3], and velocities [m/s] of a frame, these [0, 3] if they are not known."""
+    flow, velocity = fields.trajectory, fields.velocity(frame)
+    known = np.zeros((0, 3)) if velocity is None else velocity
+    positions, velocities = (np.ascontiguousarray(values, np.float32) for values in (flow.positions[frame], known))
+    return float(flow.time[frame]), positions, velocities
 
 
 def least_thickness(mass: Mass) -> float:
