@@ -1,4 +1,4 @@
-"""`python -m validation.bench speed`: rates, baffles, first runs, price of a gradient, networks, a large terrain."""
+"""`python -m validation.bench speed`: rates, baffles, water, first runs, a gradient's price, networks, a terrain."""
 
 import os
 import statistics
@@ -127,24 +127,36 @@ def rate(case: Workload, mode: Mode) -> float:
     return float(sum(summary["particles"] * summary["steps"] for summary in summaries) / summaries[0]["wall_s"] / 1.0e6)
 
 
-def behind_baffles() -> dict[str, Scene]:
-    """The paper's short column, which runs against a baffle, and the shipped scenes with baffles in 3D, by name."""
+def featured() -> dict[str, tuple[str, Scene, Scene]]:
+    """Scenes whose feature is priced, by name: what it is, the scene and the same without it.
+
+    The paper's short column, which runs against a baffle, shipped scenes with baffles in 3D, and the cube of sand, full
+    of water and dry, in steps as scenes have them unless they say otherwise: longer ones take more sweeps.
+    """
     baffle = Baffle(lower=(0.6, 0.0), size=(0.05, 0.1))
     short = replace(read_scene("column-short-21"), baffles=(baffle,), baffle_friction=0.385)
-    return {"column-short-21": short} | {name: read_scene(name) for name in ("baffles-2", "baffles-5")}
+    baffled = {"column-short-21": short} | {name: read_scene(name) for name in ("baffles-2", "baffles-5")}
+    priced = {
+        name: (f"{len(scene.baffles)} baffle{'s' * (len(scene.baffles) > 1)}", scene, replace(scene, baffles=()))
+        for name, scene in baffled.items()
+    }
+    cube = replace(column(3, 32, 200), step_fraction=Scene.step_fraction)
+    dry = replace(cube, material=replace(cube.material, young=2.0e6), masses=(replace(cube.masses[0], k0=0.5),))
+    wet = replace(dry, material=replace(dry.material, saturated=True, permeability=1.0e-3))
+    return priced | {"cube": ("water", wet, dry)}
 
 
-def baffle_row(name: str, scene: Scene, rounds: int) -> Row:
-    """Nanoseconds of a particle-step on one thread, with baffles and without, in turn."""
+def feature_row(name: str, feature: str, scene: Scene, without: Scene, rounds: int) -> Row:
+    """Nanoseconds of a particle-step on one thread, of a scene and of that `without` its feature, in turn."""
 
     def nanoseconds(scene: Scene) -> float:
         summary = simulate(scene, record=LAST, threads=1).summary
         return float(1.0e9 * summary["wall_s"] / (summary["particles"] * summary["steps"]))
 
-    work = {"with [ns]": scene, "without [ns]": replace(scene, baffles=())}
+    work = {"with [ns]": scene, "without [ns]": without}
     timed = turns({key: partial(nanoseconds, variant) for key, variant in work.items()}, rounds, name)
     ratio = Spread([one / other for one, other in zip(*timed.values(), strict=True)])
-    row = {"scene": f"`{name}`", "particles": f"{particle_count(scene):,}", "baffles": len(scene.baffles)}
+    row = {"scene": f"`{name}`", "particles": f"{particle_count(scene):,}", "feature": feature}
     return row | {key: f"{Spread(values):.1f}" for key, values in timed.items()} | {"ratio": f"{ratio:.3f}"}
 
 
@@ -265,7 +277,7 @@ def terrain(folder: Path) -> Found:
 
 
 def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
-    """Measure rates over sizes and at baffles, first runs, gradients, networks, a large terrain; needs a quiet machine.
+    """Measure rates over sizes, at baffles, in water, first runs, gradients, networks, a terrain; on a quiet machine.
 
     KEEP has the large terrain; other times are of one command.
     """
@@ -273,7 +285,7 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
     timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
     rates = {key: Spread(values) for key, values in timed.items()}
-    baffles = [baffle_row(name, scene, 3 * rounds) for name, scene in behind_baffles().items()]
+    features = [feature_row(name, *priced, 3 * rounds) for name, priced in featured().items()]
     whole = read_scene(PRICED)
     finer = [replace(whole.with_cell(whole.domain.cell / times), duration=duration) for times, duration in FINER]
     prices = [isolated(price, scene, rounds) for scene in finer]
@@ -289,7 +301,7 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
         flags=f" --rounds {rounds}",
         large=LARGE,
         rates=rate_rows(rates),
-        baffles=baffles,
+        features=features,
         starts=[started_row(name) for name in STARTED],
         priced=PRICED,
         prices=formatted(prices, PRICE),

@@ -16,7 +16,7 @@ from validation.bench import speed
 from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
 from validation.bench.mountain import sliding_point, written_scene
-from validation.bench.speed import baffle_row, behind_baffles, mean_x, started_row
+from validation.bench.speed import feature_row, featured, mean_x, started_row
 from validation.run_store import kept
 
 
@@ -73,8 +73,8 @@ def test_baffles_are_priced_beside_the_same_scene_without_them(monkeypatch: pyte
         return SimpleNamespace(summary={"wall_s": 3e-5 if scene.baffles else 2e-5, "particles": 100, "steps": 10})
 
     monkeypatch.setattr(speed, "simulate", simulate)
-    row = baffle_row("short", behind_baffles()["column-short-21"], 2)
-    assert [*row.values()] == ["`short`", "3,200", 1, "30.0", "20.0", "1.500"]
+    row = feature_row("short", *featured()["column-short-21"], 2)
+    assert [*row.values()] == ["`short`", "3,200", "1 baffle", "30.0", "20.0", "1.500"]
 
 
 def test_the_second_run_finds_the_kernels_of_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
