@@ -8,7 +8,18 @@ face that is farther (`find_bed`), and what is in it is put out.
 
 import taichi as ti
 
-from mpm.arrays.access import add, dot, lane_numbers, maximum, minimum, over_lanes, present, put_lane_numbers, vectors
+from mpm.arrays.access import (
+    add,
+    dot,
+    lane_numbers,
+    maximum,
+    minimum,
+    no_overflow,
+    over_lanes,
+    present,
+    put_lane_numbers,
+    vectors,
+)
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker
 from mpm.physics.boundary import add_impulse, after_contact
 from mpm.physics.contact import contact_at
@@ -115,22 +126,22 @@ def find_bed(block, scratch, nearby, worker, scene, arrays: ti.template()):
     k, corner_z = lowest_node(position[2], 2, scene, arrays)
     arrays.scratch[bed], arrays.scratch[bed + 1] = i, k
     arrays.scratch[bed + 2], arrays.scratch[bed + 3] = corner_x, corner_z
+    start, rough, row = place_in_bed(0, 0, scene, arrays)
+    varied, friction = varied_friction(scene, arrays), arrays.terrain[rough]
     for lane in range(lanes):
-        at = bed * lanes + lane
+        at = no_overflow(bed * lanes + lane)
         low, near = ti.cast(arrays.scratch_lanes[at], ti.i32), ti.cast(arrays.scratch_lanes[at + lanes], ti.i32)
-        height, rough, row = place_in_bed(low, near, scene, arrays)
-        friction = arrays.terrain[rough]
-        if varied_friction(scene, arrays):
+        node = no_overflow(low * row + near)
+        if varied:
             x = lane_numbers(arrays.lanes, first * lanes + lane, arrays)
             corner = [arrays.scratch_lanes[at + 2 * lanes], arrays.scratch_lanes[at + 3 * lanes]]
-            friction, _, _ = spline_sums([x[0], x[1], x[2]], nine(rough, row, 1, arrays), corner, spacing)
-        heights = nine(height, row, 1, arrays)
+            friction, _, _ = spline_sums([x[0], x[1], x[2]], nine(rough + node, row, 1, arrays), corner, spacing)
+        heights = nine(start + node, row, 1, arrays)
         for number in ti.static(range(9)):
             arrays.scratch_lanes[at + number * lanes] = heights[number]
         arrays.scratch_lanes[at + 9 * lanes] = friction
     above, d, normal = bed_contact(position, vectors(arrays.scratch, bed, 9), [corner_x, corner_z], spacing)
-    friction = arrays.scratch[bed + 9]
-    other = 0.0 * d + FAR
+    frictions, other = arrays.scratch[bed + 9], 0.0 * d + FAR
     if ti.static(features.listed):
         other = arrays.state[contact + Contact.DISTANCE]
     nearest = (d < other) & (d < nearby)
@@ -140,7 +151,7 @@ def find_bed(block, scratch, nearby, worker, scene, arrays: ti.template()):
     velocity = vectors(arrays.state, first + features.state.velocity, 3)
     into = dot(velocity, normal)
     along = [velocity[axis] - into * normal[axis] for axis in ti.static(range(3))]
-    keep = maximum(1.0 + friction * into / ti.sqrt(dot(along, along) + TINY), 0.0)
+    keep = maximum(1.0 + frictions * into / ti.sqrt(dot(along, along) + TINY), 0.0)
     stopped = inside & (into < 0.0)
     mass = arrays.scratch[scratch + features.scratch.push + 1]
     impulse = arrays.workers[worker, Worker.IMPULSE] + arrays.offsets[scene, Offset.TERRAIN_SOLID] * 3
@@ -152,7 +163,7 @@ def find_bed(block, scratch, nearby, worker, scene, arrays: ti.template()):
         add(arrays.impulse, impulse + axis, mass * lost, arrays)
         put_known(contact + Contact.NORMAL + axis, nearest, normal[axis], arrays)
     face = 0.0 * d + (1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE)
-    put_known(contact + Contact.FRICTION, nearest, friction, arrays)
+    put_known(contact + Contact.FRICTION, nearest, frictions, arrays)
     put_known(contact + Contact.FACE, nearest, face, arrays)
     put_known(contact + Contact.FREE, nearest, other, arrays)
     # Beyond the search a lower bound; the distance of a face that is nearer stays.
