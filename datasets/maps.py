@@ -66,6 +66,7 @@ CONTOURS = 12
 """About as many contour lines of the ground."""
 
 Singles = NDArray[np.float32]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,30 +125,30 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     expected = f"a length from {least:g} m, the spacing of the particles, to {min(sides):g} m, the box"
     require(least * (1.0 - 1.0e-9) <= cell <= min(sides), "--cell", expected, f"{cell:g} m")
     grid = Grid((0.5 * cell,) * 2, (cell,) * 2, tuple(math.ceil(side / cell - 1.0e-6) for side in sides))
-    depth, fastest, start, arrival = np.zeros(grid.nodes), None, None, np.full(grid.nodes, np.nan)
+    depth, fastest, arrival = np.zeros(grid.count), np.zeros(grid.count), np.full(grid.count, np.nan)
+    start, known, sums = None, False, np.zeros((*grid.nodes, 4))
     limits = np.outer((-OUTSIDE, 1.0 + OUTSIDE), scene.domain.size)
-    for time, given, known in plan_sums(fields, grid, limits, progress):
-        thickness = given[..., 0] / cell**2
-        depth = np.maximum(depth, thickness)
-        arrival[np.isnan(arrival) & (thickness > threshold)] = time
+    for time, cells, moving in plan_sums(fields, limits, cell, sums, progress):
         if time == 0.0:
-            start = thickness
-        if known:
-            momentum = np.linalg.norm(given[..., 1:], axis=2)
-            speed = np.divide(momentum, given[..., 0], out=np.zeros_like(momentum), where=thickness > threshold)
-            fastest = speed if fastest is None else np.maximum(fastest, speed)
+            start = sums[..., 0] / cell**2
+        volume, *momentum = sums.reshape(-1, 4)[cells].T
+        depth[cells] = np.maximum(depth[cells], volume / cell**2)
+        covered, known = volume / cell**2 > threshold, known or moving
+        arrival[cells] = np.where(np.isnan(arrival[cells]) & covered, time, arrival[cells])
+        speed = np.where(covered, np.linalg.norm(momentum, axis=0) / volume, 0.0)
+        fastest[cells] = np.maximum(fastest[cells], speed)
     last, here = trajectory.positions[-1], trajectory.entered(float(trajectory.time[-1]))
     inside = ((last >= limits[0]) & (last <= limits[1])).all(axis=1) & here
     corner, crs = map_corner(scene)
     steep = np.hypot(*slopes_in_plan(scene, grid))
     return PlanMaps(
         grid=grid,
-        thickness=thickness,
+        thickness=sums[..., 0] / cell**2,
         start=start,
-        depth=depth,
-        normal_depth=depth / np.hypot(1.0, steep),
-        velocity=fastest,
-        arrival=arrival,
+        depth=depth.reshape(grid.nodes),
+        normal_depth=depth.reshape(grid.nodes) / np.hypot(1.0, steep),
+        velocity=fastest.reshape(grid.nodes) if known else None,
+        arrival=arrival.reshape(grid.nodes),
         ground=ground(scene, grid) + float(scene.domain.corner[1]),
         threshold=threshold,
         volume=float(volumes[inside].sum()),
@@ -157,15 +158,17 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     )
 
 
-def plan_sums(fields: FlowFields, grid: Grid, limits: Floats, progress: bool) -> Iterator[tuple[float, Floats, bool]]:
-    """Times [s], what the particles give to the cells then, and whether their velocity is known (`add_to_plan`).
+def plan_sums(
+    fields: FlowFields, limits: Floats, cell: float, sums: Floats, progress: bool
+) -> Iterator[tuple[float, Integers, bool]]:
+    """Times [s], the cells that have something then, and whether velocities are known; `sums` as of `add_to_plan`.
 
     The times are those of the frames and, where the flow crosses cells from one to the next, times between.
     """
     # Compiled: who asks for help does not wait for the compiler.
     from datasets.flow.plan import add_to_plan
 
-    flow, cell = fields.trajectory, grid.spacing[0]
+    flow, touched, used = fields.trajectory, np.zeros(sums[..., 0].size, np.int64), 0
     begin, places, velocity = moment(fields, 0)
     for frame in tqdm(range(len(flow.time)), desc="maps", unit="frame", disable=not progress):
         end, there, faster = moment(fields, frame)
@@ -175,10 +178,11 @@ def plan_sums(fields: FlowFields, grid: Grid, limits: Floats, progress: bool) ->
             count = min(max(math.ceil(moved / cell), 1), BETWEEN)
         for share in np.arange(1, count + 1) / count:
             time = begin + share * (end - begin)
-            sums = np.zeros((*grid.nodes, 4 if known else 1))
             volumes = np.where(flow.entered(time), flow.volumes, 0.0)
-            add_to_plan((places, there), (velocity, faster), share, end - begin, volumes, limits, cell, sums)
-            yield time, sums, known
+            motion = (places, there), (velocity, faster), share, end - begin
+            sums.reshape(-1, 4)[touched[:used]] = 0.0
+            used = add_to_plan(*motion, volumes, limits, cell, sums, touched)
+            yield time, touched[:used], known
         begin, places, velocity = end, there, faster
 
 
