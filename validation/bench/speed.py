@@ -194,7 +194,7 @@ def price(scene: Scene, rounds: int) -> Found:
     """
     short = replace(scene, duration=0.02)
     simulate(short, record=LAST, threads=1)
-    gradient(short, mean_x, threads=1)
+    gradient(short, mean_x, threads=1, memory_mib=GRADIENT_MIB)
     before = reset_peak()
     work = {
         "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
