@@ -73,9 +73,10 @@ def upload(arguments: dict[str, Array], features: Features) -> dict[str, ti.Ndar
     device: dict[str, ti.Ndarray] = {}
     for name, array in arguments.items():
         if name in VIEWS:
-            device[name] = device[VIEWS[name]]
+            # Nothing turns to rows where a block is one particle.
+            device[name] = device["grid" if name == "rows" else VIEWS[name]]
             continue
-        kind = {"f": ti.f32, "d": ti.f64, "i": ti.i32}[array.dtype.char]
+        kind = {"float32": ti.f32, "float64": ti.f64, "int32": ti.i32, "int64": ti.i64}[array.dtype.name]
         nodes = name in ("grid", "cells")
         device[name] = ti.Vector.ndarray(NODE, kind, len(array)) if nodes else ti.ndarray(kind, array.shape)
         device[name].from_numpy(np.ascontiguousarray(array))
