@@ -1,6 +1,7 @@
 """Tests in double precision run last: Taichi starts, and compiles every kernel, anew where the precision changes."""
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture
-def gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Where there is no GPU, its kernels run on the CPU: with a thread per particle and atomic sums, as there."""
     if shutil.which("nvidia-smi") is None:
         monkeypatch.setitem(runtime.ARCHES, "cuda", runtime.ARCHES["cpu"])
+    yield
+    # What has started for a GPU that is not there is nobody else's.
+    runtime._running = None
