@@ -16,7 +16,7 @@ from mpm import LAST, WITH_FIELDS, runtime, simulate, simulate_many
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import DRY_GRIP, roughest
-from mpm.kernel import Phase, kernel
+from mpm.kernel import compute
 from mpm.solids.bed import bed_of
 from mpm.solids.obstacles import covered_at
 from tests.datasets.geometry.solids import surface
@@ -266,7 +266,7 @@ def test_the_face_that_is_followed_is_the_nearest(scene: Scene) -> None:
     runtime.start("f64", enough=1)
     batch, cell = Batch([scene], precision="f64", record=LAST), scene.domain.cell
     for frame in range(1, scene.frames):
-        kernel(batch.features)(*batch.arguments.values(), frame, frame + 1, Phase.FRAMES)
+        compute(batch, frame + 1, 1)
         distance = distance_from(scene, batch.numbers(0, 0, scene.dimension).T)
         assert distance.min() > -1.0e-5 * cell
         exact = np.clip(distance, 0.0, None)
