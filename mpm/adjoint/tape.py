@@ -21,9 +21,9 @@ from mpm import runtime
 from mpm.adjoint.kernel import Pass
 from mpm.adjoint.kernel import kernel as adjoint_kernel
 from mpm.adjoint.layout import Layout
-from mpm.arrays.batch import Batch, aligned, particles_of, put_vectors
+from mpm.arrays.batch import Batch, particles_of, put_vectors
 from mpm.arrays.features import Features, features_of
-from mpm.arrays.kernel_arguments import ADJOINT, STEP, arguments
+from mpm.arrays.kernel_arguments import ADJOINT, STEP, aligned, arguments
 from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
 from mpm.kernel import compute
 from mpm.output.outcome import failure

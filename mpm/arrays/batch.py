@@ -12,9 +12,8 @@ from datasets.flow.array_files import FrameWriter
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.scene.particles import Particles, initial_particles
 from mpm.arrays.features import NODE, features_of
-from mpm.arrays.kernel_arguments import DEVICE, RECORD, STEP, arguments
+from mpm.arrays.kernel_arguments import DEVICE, RECORD, STEP, aligned, arguments
 from mpm.arrays.layout import (
-    ALIGNMENT,
     FIRST_FACE,
     GROWTH,
     INDEX_LIMIT,
@@ -394,11 +393,3 @@ def put_vectors(blocks: Array, first: int, rows: Array) -> None:
     """Put the K numbers of each lane, shape [blocks * lanes, K], in the vectors of its block from `first` on."""
     columns = rows.reshape(len(blocks), blocks.shape[2], -1)
     blocks[:, first : first + columns.shape[2]] = np.moveaxis(columns, 1, 2)
-
-
-def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> Array:
-    """Zeros that begin at a multiple of ALIGNMENT bytes."""
-    size = math.prod(shape) * real.itemsize
-    memory = np.zeros(size + ALIGNMENT, np.uint8)
-    offset = -memory.ctypes.data % ALIGNMENT
-    return memory[offset : offset + size].view(real).reshape(shape)

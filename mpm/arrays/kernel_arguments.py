@@ -1,15 +1,17 @@
 """The arrays that kernels take, each named here once: batch, kernels and adjoint have theirs from this table."""
 
 import linecache
+import math
 from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Any
 
 import numpy as np
 import taichi as ti
+from numpy.typing import NDArray
 
 from mpm.arrays.features import NODE, Features
-from mpm.arrays.layout import Address
+from mpm.arrays.layout import ALIGNMENT, Address
 
 
 class ArrayKind(Enum):
@@ -93,6 +95,14 @@ def arguments(arrays: Mapping[str, ArrayKind], memory: Mapping[str, Any], lanes:
             array = array.reshape(-1)
         reshaped[name] = array
     return reshaped
+
+
+def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> NDArray[Any]:
+    """Zeros that begin at a multiple of ALIGNMENT bytes."""
+    size = math.prod(shape) * real.itemsize
+    memory = np.zeros(size + ALIGNMENT, np.uint8)
+    offset = -memory.ctypes.data % ALIGNMENT
+    return memory[offset : offset + size].view(real).reshape(shape)
 
 
 def kernel_of(

@@ -10,8 +10,9 @@ from scipy.optimize import root
 
 from datasets.scene.material import MOHR_COULOMB, Material
 from mpm import runtime
-from mpm.arrays.batch import aligned, put_vectors
+from mpm.arrays.batch import put_vectors
 from mpm.arrays.features import Features, Recorded
+from mpm.arrays.kernel_arguments import aligned
 from mpm.arrays.layout import Precision, Property
 from mpm.arrays.properties import properties_row
 from mpm.laws import law_of

@@ -5,9 +5,9 @@ import pytest
 import taichi as ti
 
 from mpm import runtime
-from mpm.arrays.batch import aligned
 from mpm.arrays.bitcode import FILE, FUNCTIONS, MOVES, PAIR, ROW, SIZES, call, version
 from mpm.arrays.features import NODE, REGISTER
+from mpm.arrays.kernel_arguments import aligned
 from mpm.arrays.layout import Precision
 
 BOTH = pytest.mark.parametrize("precision", ["f32", pytest.param("f64", marks=pytest.mark.double)])

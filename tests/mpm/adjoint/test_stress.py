@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from mpm import runtime
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import plastic_return_reverse
-from mpm.arrays.batch import aligned, put_vectors
+from mpm.arrays.batch import put_vectors
 from mpm.arrays.features import Features
+from mpm.arrays.kernel_arguments import aligned
 from mpm.physics.stress import midpoint_increment, plastic_return, trial_stress
 
 pytestmark = pytest.mark.double
