@@ -24,6 +24,8 @@ def add_to_plan(
 ) -> int:
     """Add to each cell its part of the volume of the particles around it and, if known, of volume times velocity.
 
+    The parts are those of `Grid.weights`, linear between the middles of cells.
+
     places, velocities: [m] and [m/s] before and after a time `elapsed` [s], shape [N, 3], velocities [0, 3] if they are
     not known; share: of that time, after which the particles have followed the cubic of both; limits: least and largest
     coordinates, shape [2, 3], beyond which a particle gives nothing; cell: edge [m]; sums: [X, Z, 4]. Returns how many

@@ -114,8 +114,10 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
     arrays.scratch[values + Pore.STRAIN] = weight * arrays.state[first + features.state.volume_strain]
     arrays.scratch[values + Pore.PRESSURE] = weight * arrays.state[first + features.state.pore_pressure]
     arrays.scratch[values + Pore.CLOSED] = 0.0 * weight
-    for k in ti.static(range(features.dimension)):
-        arrays.scratch[values + Pore.CENTRE_X + k] = weight * arrays.scratch[places + features.dimension + k]
+    for k in ti.static(range(3)):
+        arrays.scratch[values + Pore.CENTRE_X + k] = 0.0 * weight
+        if ti.static(k < features.dimension):
+            arrays.scratch[values + Pore.CENTRE_X + k] = weight * arrays.scratch[places + features.dimension + k]
     stress = vectors(arrays.state, first + features.state.stress, 3)
     arrays.scratch[values + Pore.SUCTION] = weight * suction_held(stress, True)
     faces = places + 2 * features.dimension
@@ -123,14 +125,16 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
         arrays.scratch[faces] = closed_faces(block, arrays)
     turn("to_rows", values, scratch + features.scratch.rows, arrays)
     for lane in range(particles_in(scene, block, arrays)):
-        cell = cell_of(scratch, lane, table, deep, arrays)
-        arrays.cells[2 * cell] = arrays.cells[2 * cell] + arrays.rows[no_overflow(rows + 4 * lane)]
-        if ti.static(features.contact):
-            closed = ti.cast(arrays.scratch_lanes[no_overflow(faces * lanes + lane)], ti.i32)
-            if closed > 0 and arrays.rows[no_overflow(rows + 4 * lane)][Pore.VOLUME] > 0.0:
-                sums = arrays.cells[2 * cell]
-                sums[Pore.CLOSED] = ti.cast(ti.cast(sums[Pore.CLOSED], ti.i32) | closed, float)
-                arrays.cells[2 * cell] = sums
+        given = arrays.rows[no_overflow(rows + 4 * lane)]
+        # What has left the box, without volume, may be beyond the nodes of its column.
+        if given[Pore.VOLUME] > 0.0:
+            cell = cell_of(scratch, lane, table, deep, arrays)
+            sums = arrays.cells[2 * cell] + given
+            if ti.static(features.contact):
+                closed = ti.cast(arrays.scratch_lanes[no_overflow(faces * lanes + lane)], ti.i32)
+                if closed > 0:
+                    sums[Pore.CLOSED] = ti.cast(ti.cast(sums[Pore.CLOSED], ti.i32) | closed, float)
+            arrays.cells[2 * cell] = sums
 
 
 @ti.func
@@ -322,12 +326,16 @@ def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
     first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
     rows, places = (scratch + features.scratch.rows) * lanes // NODE, scratch + features.scratch.lowest
     find_cells(scene, block, scratch, arrays)
+    weight = volume_of(scene, block, arrays) * arrays.state[first + features.state.saturated]
+    shares = places + 2 * features.dimension
+    arrays.scratch[shares] = weight
     for lane in range(lanes):
-        cell, row = cell_of(scratch, lane, table, deep, arrays), no_overflow(rows + 4 * lane)
-        arrays.rows[row], arrays.rows[row + 1] = arrays.cells[2 * cell], arrays.cells[2 * cell + 1]
+        if arrays.scratch_lanes[no_overflow(shares * lanes + lane)] > 0.0:
+            cell, row = cell_of(scratch, lane, table, deep, arrays), no_overflow(rows + 4 * lane)
+            arrays.rows[row], arrays.rows[row + 1] = arrays.cells[2 * cell], arrays.cells[2 * cell + 1]
     turn("to_lanes", scratch + features.scratch.rows, values, arrays)
     of_cell = vectors(arrays.scratch, values, 2 * NODE)
-    wet = volume_of(scene, block, arrays) * arrays.state[first + features.state.saturated] > 0.0
+    wet = weight > 0.0
     change, modulus = of_cell[Pore.CHANGE], arrays.settings[scene, Setting.WATER_MODULUS]
     p = of_cell[Pore.PRESSURE] + change
     for k in ti.static(range(features.dimension)):

@@ -12,6 +12,7 @@ from shapely.geometry import shape
 
 from datasets import Baffle, Mass, Scene, Solid, Trajectory
 from datasets.command_line import run
+from datasets.flow.plan import add_to_plan
 from datasets.maps import KINDS, command, maps_of, region_above, write
 from datasets.scene.grid_field import Grid
 from datasets.scene.particles import initial_particles
@@ -191,3 +192,22 @@ def test_what_has_no_map_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
         sand = (0.1, 0.0, 0.0)[:dimension], (0.2, 0.1, 0.2)[:dimension]
         sliding(scene_of(box[:dimension], sand)).save(tmp_path / "trajectory.npz")
         assert words in refused_by(capsys, command, tmp_path / "trajectory.npz", "--out", tmp_path, *flags)
+
+
+@pytest.mark.parametrize("nodes", [(7, 5), (1, 4), (3, 1)])
+@pytest.mark.parametrize("share", [1.0, 0.25])
+def test_cells_have_the_parts_of_a_grid(nodes: tuple[int, int], share: float) -> None:
+    """Of particles that go straight on, where the cubic is the line; not of one without volume, nor of one outside."""
+    rng, cell, size = np.random.default_rng(2), 0.5, np.array([0.5 * nodes[0], 1.0, 0.5 * nodes[1]])
+    first = (rng.uniform(0.1, 0.9, (40, 3)) * size).astype(np.float32)
+    velocity, volumes = rng.normal(size=(40, 3)).astype(np.float32), rng.uniform(0.5, 1.0, 40)
+    first[4, 1], volumes[3] = 2.0, 0.0
+    second = first + np.float32(0.01) * velocity
+    sums, touched = np.zeros((*nodes, 4)), np.zeros(nodes[0] * nodes[1], np.int64)
+    limits = np.array([np.zeros(3), size])
+    count = add_to_plan((first, second), (velocity, velocity), share, 0.01, volumes, limits, cell, sums, touched)
+    places, inside = (first + share * (second - first)).astype(np.float64), np.delete(np.arange(40), [3, 4])
+    weights = Grid((0.5 * cell,) * 2, (cell,) * 2, nodes).weights(places[inside][:, ::2]).T
+    momentum = volumes[inside, None] * velocity[inside]
+    np.testing.assert_allclose(sums.reshape(-1, 4), weights @ np.c_[volumes[inside], momentum], atol=1e-4)
+    assert sorted(touched[:count]) == np.flatnonzero(sums[..., 0]).tolist()

@@ -5,10 +5,11 @@ import pytest
 import taichi as ti
 
 from mpm import runtime
-from mpm.arrays.bitcode import FILE, FUNCTIONS, MOVES, PAIR, ROW, SIZES, call, version
+from mpm.arrays.bitcode import FILE, FUNCTIONS, MOVES, ROW, SIZES, call, version
 from mpm.arrays.features import NODE, REGISTER
 from mpm.arrays.kernel_arguments import aligned
 from mpm.arrays.layout import Precision
+from mpm.arrays.nodes import zero_pair
 
 BOTH = pytest.mark.parametrize("precision", ["f32", pytest.param("f64", marks=pytest.mark.double)])
 
@@ -91,8 +92,3 @@ def test_sums_over_a_column_of_nodes(precision: Precision) -> None:
     added = weights[0][:, None] * (given[0] + np.arange(3)[:, None] * given[1])
     np.testing.assert_allclose(grid[1:], before[1:] + added, rtol=tolerance, atol=tolerance)
     np.testing.assert_array_equal(grid[0], before[0])
-
-
-@ti.func
-def zero_pair():  # type: ignore[no-untyped-def]
-    return ti.Vector([0.0 for _ in ti.static(range(PAIR))])
