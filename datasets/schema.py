@@ -20,6 +20,8 @@ from datasets.files import line_of
 T = TypeVar("T")
 UNSEEN = ("float", "str", "constants")
 """Parts of an error's path that a file does not have: types of a key that takes either, where keys are gathered."""
+FEW_KEYS = 12
+"""Keys of a table that are listed where an unknown one is refused."""
 FARTHEST = 1.0e9
 """Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
 
@@ -131,7 +133,9 @@ def unknown_key(name: str, names: Sequence[str], elsewhere: Sequence[str] = ()) 
     if name in elsewhere:
         return "expected a known key, this one belongs in another table"
     near = difflib.get_close_matches(name, names, n=1)
-    return "expected a known key" + (f", did you mean {near[0]!r}?" if near else "")
+    if near:
+        return f"expected a known key, did you mean {near[0]!r}?"
+    return "expected a known key" + (f": {' or '.join(names)}" if 0 < len(names) <= FEW_KEYS else "")
 
 
 def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:

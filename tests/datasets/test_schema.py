@@ -57,7 +57,7 @@ def test_a_value_within_is_taken(values: dict[str, Any]) -> None:
         ({"parts": [], "spare": {"size": 0.5}}, "spare.size: expected a known key, did you mean 'sizes'?"),
         ({"parts": [{"spar": 0.5}]}, "parts[0].spar: expected a known key, did you mean 'share'?"),
         ({"parts": [], "share": 0.5}, "share: expected a known key, this one belongs in another table"),
-        ({"parts": [], "solver": {}}, "solver: expected a known key"),
+        ({"parts": [], "solver": {}}, "solver: expected a known key: parts or spare"),
     ],
 )
 def test_what_may_be_meant_is_a_key_of_the_same_table(values: dict[str, Any], said: str) -> None:

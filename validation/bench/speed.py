@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from datasets import maps
 from datasets.files import make_folder
+from datasets.geometry.placement import remembers_gaps
 from datasets.flow.trajectory import open_trajectory
 from datasets.processes import processors
 from datasets.scene import Baffle, Domain, Mass, Scene
@@ -137,7 +138,11 @@ def featured() -> dict[str, tuple[str, Scene, Scene]]:
     short = replace(read_scene("column-short-21"), baffles=(baffle,), baffle_friction=0.385)
     baffled = {"column-short-21": short} | {name: read_scene(name) for name in ("baffles-2", "baffles-5")}
     priced = {
-        name: (f"{len(scene.baffles)} baffle{'s' * (len(scene.baffles) > 1)}", scene, replace(scene, baffles=()))
+        name: (
+            f"{len(scene.baffles)} baffle{'s' * (len(scene.baffles) > 1)}",
+            scene,
+            replace(scene, baffles=(), volume_correction=remembers_gaps(scene)),
+        )
         for name, scene in baffled.items()
     }
     cube = replace(column(3, 32, 200), step_fraction=Scene.step_fraction)
