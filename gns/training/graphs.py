@@ -74,4 +74,4 @@ def dataset(
     settings, folder = settings or ModelSettings(), Path(folder)
     flows = flows_of(folder, split, settings)
     training = flows if split == "train" else flows_of(folder, "train", settings)
-    return Graphs(flows, settings, statistics([training]), noise)
+    return Graphs(flows, settings, statistics([training])[0], noise)

@@ -126,7 +126,7 @@ def fit(
         for path, some in zip(datasets, flows, strict=True):
             # Folders of a name are parts of one dataset.
             scenes.setdefault(path.name, []).extend(flow.scene for flow in some)
-        simulator = Simulator(model, statistics(flows)) if begin is None else continued(begin, model, training)
+        simulator = untrained(model, flows) if begin is None else continued(begin, model, training)
         run = TrainingRun(simulator.to(where), flows, training, out, seed)
         if resume:
             run.restore()
@@ -318,6 +318,18 @@ def load(
     every = [flow for flows in valid for flow in flows]
     count = min(training.validate_flows, len(every))
     return train, [every[index * len(every) // count] for index in range(count)]
+
+
+def untrained(settings: ModelSettings, flows: Sequence[Flows]) -> Simulator:
+    """A model to begin with: random weights, and the mean acceleration of the data, which bears most of the weight.
+
+    From free flight, as random weights alone have it, small steps of the weights take thousands of updates to get there.
+    """
+    normalisation, mean = statistics(flows)
+    simulator = Simulator(settings, normalisation)
+    *_, bias = simulator.network.decoder.parameters()
+    bias.data[: settings.dimension] = mean
+    return simulator
 
 
 def continued(model: Model, settings: ModelSettings, training: TrainingSettings) -> Simulator:

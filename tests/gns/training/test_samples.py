@@ -22,7 +22,7 @@ from gns.simulator import Simulator
 from gns.surroundings.initial import conditions_of, initial_state
 from gns.surroundings.state import Ground, State, in_model_units
 from gns.surroundings.units import Units
-from gns.training.loop import LAST, joined, rank
+from gns.training.loop import LAST, joined, rank, untrained
 from gns.training.losses import UnrolledLoss
 from gns.training.samples import Flows, SampleBatch, Sampler, batched, flows_of, reflected, statistics, stretch, turned
 from tests.gns.conftest import TINY, rows, spreading
@@ -190,10 +190,21 @@ def test_statistics_leave_gravity_out(flows: Flows, along: float) -> None:
     flow = dataclasses.replace(
         flows[0], positions=falling, velocity0=np.zeros((5, 2), np.float32), conditions=conditions
     )
-    normalisation = statistics([[flow]])
+    normalisation, _ = statistics([[flow]])
     assert normalisation.acceleration_scale < 1e-6
     assert normalisation.friction_mean == pytest.approx(1.0)
     assert normalisation.friction_std == 1.0
+
+
+def test_a_training_begins_with_the_mean_acceleration(flows: Flows, settings: ModelSettings) -> None:
+    resting = np.tile(flows[0].positions[0], (6, 1, 1))
+    # Every second displacement is gone, so that the flow counts as moving; without gravity's it is held all the same.
+    resting[1::2, :, 0] += 1.0e-3 * flows[0].units.length
+    flow = dataclasses.replace(flows[0], positions=resting, velocity0=np.zeros_like(flows[0].velocity0))
+    normalisation, mean = statistics([[flow]])
+    simulator = untrained(settings, [[flow]])
+    assert mean[1] * normalisation.acceleration_scale == pytest.approx(9.81 * flow.step**2 / flow.units.length, rel=1e-3)
+    assert torch.equal(list(simulator.network.decoder.parameters())[-1][:2], mean)
 
 
 @pytest.fixture
