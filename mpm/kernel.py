@@ -8,9 +8,9 @@ Many scenes: a scene runs on one thread from the first step of a call to the las
 result is the same to the bit on any number of threads. One large scene: each worker has its own part of the particles
 and its own grid, and where the grids overlap they are summed. The number of workers, two or four for up to four
 threads, sets the order of the sums, not that of threads: the result is the same to the bit on one, two and four.
-Usually each worker has a thread. Threads wait for each other three times a step, so that beside another busy process
-two run slower than one: `mpm.simulation.Crew` then gives a thread the parts of several workers, with the same result to
-the bit.
+Usually each worker has a thread. Threads wait for each other three times a step, and more often where there is water,
+so that beside another busy process two run slower than one: `mpm.simulation.Crew` then gives a thread the parts of
+several workers, with the same result to the bit.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from functools import cache
 import numpy as np
 import taichi as ti
 
-from mpm.arrays.access import columns_deep
+from mpm.arrays.access import columns_deep, synchronise, workers_of
 from mpm.arrays.batch import Batch
 from mpm.arrays.features import NODE, Features
 from mpm.arrays.kernel_arguments import DEVICE, RECORD, STEP, kernel_of
@@ -62,28 +62,6 @@ class Phase(Enum):
 
 
 @ti.func
-def synchronise(thread, arrays: ti.template()):
-    """Wait until all threads of a shared scene have arrived; nothing where scenes are not shared.
-
-    Taichi's own barrier is the end of a call, whose third of a millisecond is a step of 10,000 particles; here it takes
-    a microsecond. All run at once, because Taichi has as many threads as that. Reading by adding zero keeps the
-    compiler from reading once.
-    """
-    if ti.static(arrays.features.processor.shared):
-        arrived = ti.atomic_add(arrays.arrivals[thread], 1) + 1
-        for other in range(arrays.arrivals.shape[0]):
-            while ti.atomic_add(arrays.arrivals[other], 0) < arrived:
-                pass
-
-
-@ti.func
-def workers_of(thread, arrays: ti.template()):
-    """The first worker of a thread, and the one behind its last."""
-    count, threads = arrays.workers.shape[0], arrays.arrivals.shape[0]
-    return thread * count // threads, (thread + 1) * count // threads
-
-
-@ti.func
 def step(thread, scene, dt, kappa, moved, arrays: ti.template()):
     """Bring a thread's part of a scene forward by a step; where a grid has no room for it, nothing changes.
 
@@ -107,9 +85,9 @@ def step(thread, scene, dt, kappa, moved, arrays: ti.template()):
         farthest = 0.0 * moved
         for worker in range(first, end):
             farthest = ti.max(farthest, update_particles(worker, scene, dt, kappa, arrays))
-            if ti.static(arrays.features.wet):
-                update_water(worker, scene, dt, arrays)
         moved += farthest
+        if ti.static(arrays.features.wet):
+            update_water(thread, scene, dt, arrays)
     else:
         moved = 0.0 * moved - 1.0
     return moved

@@ -18,7 +18,6 @@ from datasets.processes import stopping
 from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from datasets.scene.particles import particle_count
-from datasets.scene.water import saturated
 from mpm.arrays.layout import Precision
 from mpm.footprint import Footprint, expected, footprint, step_spoken
 from mpm.output.checkpoint import Checkpoint, described
@@ -92,7 +91,7 @@ def command(
         wall_forces=fields or forces,
         until_rest=until_rest,
     )
-    workers = parts_for(particle_count(given), whole=saturated(given) is not None) if arch == "cpu" else 1
+    workers = parts_for(particle_count(given)) if arch == "cpu" else 1
     appended = hdf5 and not record.fields and not last_frame and arch == "cpu"
     with naming(Path(scene)):
         plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)

@@ -96,14 +96,12 @@ def workers_for(particles: int, threads: int | None = None) -> int:
     return max(1, min(threads or processors(), particles // PARTICLES_PER_WORKER))
 
 
-def parts_for(particles: int, threads: int | None = None, *, whole: bool = False) -> int:
+def parts_for(particles: int, threads: int | None = None) -> int:
     """Parts that one scene of so many particles is computed in, by at most so many threads, all processors by default.
 
-    A thread computes one or several of them; one where it has to stay `whole`.
+    A thread computes one or several of them.
     """
     threads = threads or processors()
-    if whole:
-        return 1
     if PARTS % threads > 0:
         return workers_for(particles, threads)
     # A power of two, as the threads are: one of two threads would compute two of three parts, and the other wait.

@@ -15,7 +15,6 @@ from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
 from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.particles import particle_count, warn_if_unresolved
-from datasets.scene.water import saturated
 from mpm import runtime
 from mpm.arrays.batch import Batch, particles_of
 from mpm.arrays.features import Features, features_of
@@ -101,9 +100,7 @@ def simulate(
     warn_if_unresolved(scene)
     arch, threads = options.get("arch", "cpu"), options.get("threads")
     precision, record = options.get("precision", "f32"), options.get("record", ALL)
-    parts = (
-        runtime.parts_for(particle_count(scene), threads, whole=saturated(scene) is not None) if arch == "cpu" else 1
-    )
+    parts = runtime.parts_for(particle_count(scene), threads) if arch == "cpu" else 1
     file, gpu = options.get("file"), arch != "cpu"
     if file is not None and record.state:
         raise InputError("expected positions alone: fields are smoothed in memory", key="file")

@@ -18,9 +18,10 @@ from mpm.adjoint.faces import found_reverse
 from mpm.adjoint.grid import keep_nodes, update_grid_reverse
 from mpm.adjoint.layout import Layout, state_before
 from mpm.adjoint.particles import block_of, block_to_grid_reverse, update_block_reverse
+from mpm.arrays.access import synchronise
 from mpm.arrays.kernel_arguments import ADJOINT, STEP, kernel_of
 from mpm.arrays.layout import Setting, Worker
-from mpm.kernel import ITERATIONS, synchronise
+from mpm.kernel import ITERATIONS
 from mpm.kernel import step as advance
 from mpm.output.recorder import steps_of_frame
 from mpm.physics.columns import OUTDATED, has_room, make_columns

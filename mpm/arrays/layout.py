@@ -161,6 +161,8 @@ class Worker(IntEnum):
     HIGHEST = auto()  # and the highest
     SCRATCH = auto()  # its first vector of `scratch`
     IMPULSE = auto()  # its first vector of `impulse`
+    EVEN = auto()  # how many cells with water it has of every other one
+    ODD = auto()  # and of the others
 
 
 class Address(IntEnum):
@@ -176,6 +178,7 @@ class Span(IntEnum):
     CELL_LOW, CELL_HIGH = auto(), auto()  # the cells above it that hold particles, while columns are made
     ACTIVE = auto()  # line n: the n-th column in use
     OCCUPIED = auto()  # line n: the n-th column of cells that holds particles
+    ALONE = CELL_LOW  # once columns are made, beside water: 1 where no other worker of a shared scene has the column
 
 
 class StepControl(IntEnum):
@@ -215,7 +218,7 @@ class Beside(IntEnum):
     """Columns of `beside`, integers, a line for each cell: what lies around it; and a list of the cells in use."""
 
     BELOW_X, ABOVE_X, BELOW_Y, ABOVE_Y, BELOW_Z, ABOVE_Z = range(6)  # the cell with water beyond a face, else none
-    COLUMN = 6  # its own
+    COLUMN = 6  # its own, of the box
     LISTED = 7  # line n: the n-th cell of every other one with water; from the end on the others
 
 

@@ -102,13 +102,19 @@ def owns(column, j, worker, arrays: ti.template()):
     """Whether a node is a worker's to compute: in a shared scene one of those that have it does, in turn by column."""
     result = True
     if ti.static(arrays.features.processor.shared):
-        owner, other = -1, column % arrays.workers.shape[0]
-        for _ in range(arrays.workers.shape[0]):
-            if owner < 0 and has_node(other, column, j, arrays):
-                owner = other
-            other = 0 if other + 1 == arrays.workers.shape[0] else other + 1
-        result = owner == worker
+        result = owner_of(column, j, arrays) == worker
     return result
+
+
+@ti.func
+def owner_of(column, j, arrays: ti.template()):
+    """The worker of a shared scene that computes a node; -1 where none has it."""
+    owner, other = -1, column % arrays.workers.shape[0]
+    for _ in range(arrays.workers.shape[0]):
+        if owner < 0 and has_node(other, column, j, arrays):
+            owner = other
+        other = 0 if other + 1 == arrays.workers.shape[0] else other + 1
+    return owner
 
 
 @ti.func

@@ -54,32 +54,23 @@ reason all that opens at a solid is strain.
 
 import taichi as ti
 
-from datasets.scene.water import DENSITY
-from mpm.arrays.access import TINY, clamp, columns_deep, dot, maximum, minimum, no_overflow, vectors
+from mpm.arrays.access import TINY, clamp, columns_deep, dot, maximum, minimum, no_overflow, vectors, workers_of
 from mpm.arrays.features import NODE
-from mpm.arrays.layout import PADDING, Beside, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
+from mpm.arrays.layout import PADDING, Contact, Offset, Pore, Property, Setting, Worker
 from mpm.arrays.nodes import turn
-from mpm.physics.boundary import is_wall
 from mpm.physics.columns import node_at
 from mpm.physics.contact import contact_at, suction_held
 from mpm.physics.transfer import lowest_column, particles_in, property_of, volume_of
+from mpm.physics.water_cells import solve_cells
 
 MOST = 10.0
 """Diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice."""
-FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12
-"""Sweeps: so many, more by the coefficient of the Laplacian over dx^2, at most."""
 STEEPEST = 3.0
 """Deviator over mean pressure that no grains without cohesion bear [-]."""
 DAMPING = 0.5
 """Part of its last change by which the pressure in the forces is ahead: it damps the water's pressure waves."""
 LEANING = 0.05
 """Least component of a solid's normal along an axis by which it closes the cells' faces across that."""
-
-
-@ti.func
-def number(array: ti.template(), cell, which: ti.template()):
-    """One of the numbers of a cell."""
-    return array[2 * cell + which // NODE][which % NODE]
 
 
 @ti.func
@@ -150,173 +141,17 @@ def closed_faces(block, arrays: ti.template()):
 
 
 @ti.func
-def update_water(worker, scene, dt, arrays: ti.template()):
-    """Bring the pore pressure of a worker's particles forward by a step, after their new places and strains."""
+def update_water(thread, scene, dt, arrays: ti.template()):
+    """Bring the pore pressure of a thread's particles forward by a step, after their new places and strains."""
     square = arrays.settings[scene, Setting.CELL] ** 2
     diffusion = ti.min(dt * arrays.settings[scene, Setting.WATER_DIFFUSION] / square, MOST)
     stiffness = diffusion + dt * dt * arrays.settings[scene, Setting.WATER_WAVE] / square
-    first = arrays.workers[worker, Worker.NODE]
-    end = first + arrays.workers[worker, Worker.USED]
-    even, odd = list_cells(worker, scene, first, end, arrays)
-    for n in range(even + odd):
-        line = first + n if n < even else end - 1 - (n - even)
-        source_of_cell(arrays.beside[line, Beside.LISTED], worker, scene, stiffness, diffusion, arrays)
-    sweeps = ti.min(FEWEST_SWEEPS + ti.cast(SWEEPS * stiffness, ti.i32), MOST_SWEEPS)
-    for half in range(2 * sweeps + 1):
-        of_evens = half % 2 == 0
-        for n in range(even if of_evens else odd):
-            line = first + n if of_evens else end - 1 - n
-            relax_cell(arrays.beside[line, Beside.LISTED], stiffness, arrays)
-    table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
-    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        take_from_cells(scene, table, block, scratch, 1.0 - diffusion / stiffness, arrays)
-
-
-@ti.func
-def list_cells(worker, scene, first, end, arrays: ti.template()):
-    """List the cells with water, every other one from line `first` on, the rest from `end` back; how many each are.
-
-    Their sums become means.
-    """
-    table, deep, even, odd = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays), 0, 0
-    for n in range(arrays.workers[worker, Worker.ACTIVE]):
-        column = arrays.spans[table + n, Span.ACTIVE]
-        for j in range(arrays.spans[column, Span.LOW], arrays.spans[column, Span.HIGH]):
-            cell = node_at(column, j, arrays)
-            sums = arrays.cells[2 * cell]
-            if sums[Pore.VOLUME] > 0.0:
-                per_volume = 1.0 / sums[Pore.VOLUME]
-                means = per_volume * sums
-                means[Pore.VOLUME], means[Pore.CLOSED] = sums[Pore.VOLUME], sums[Pore.CLOSED]
-                arrays.cells[2 * cell] = means
-                arrays.beside[cell, Beside.COLUMN] = column
-                line = first + even
-                if (j + (column - table) // deep + (column - table) % deep) % 2 == 0:
-                    even += 1
-                else:
-                    odd += 1
-                    line = end - odd
-                arrays.beside[line, Beside.LISTED] = cell
-    return even, odd
-
-
-@ti.func
-def neighbour(place, face: ti.template(), steps: ti.template(), table, scene, arrays: ti.template()):
-    """The cell so many steps beyond a face of the one at `place`, -1 where none with water is."""
-    axis = ti.static(face // 2)
-    towards = ti.static(steps * (2 * (face % 2) - 1))
-    column, j, result = place[0], place[1], -1
-    if ti.static(axis == 0):
-        column += towards * columns_deep(scene, arrays)
-    elif ti.static(axis == 1):
-        j += towards
-    else:
-        column += towards
-    if arrays.spans[column, Span.LOW] <= j and j < arrays.spans[column, Span.HIGH]:
-        cell = node_at(column, j, arrays)
-        if number(arrays.cells, cell, Pore.VOLUME) > 0.0:
-            result = cell
-    return result
-
-
-@ti.func
-def beyond_face(cell, place, face: ti.template(), table, scene, arrays: ti.template()):
-    """What lies beyond a face of a cell, a `Face`."""
-    axis = ti.static(face // 2)
-    kind = ti.cast(Face.SURFACE, ti.i32)
-    deep = columns_deep(scene, arrays)
-    index = ti.Vector([(place[0] - table) // deep, place[1], (place[0] - table) % deep])
-    solid = (ti.cast(number(arrays.cells, cell, Pore.CLOSED), ti.i32) >> face) & 1
-    edge = index[axis] == (PADDING if face % 2 == 0 else PADDING - 1 + arrays.offsets[scene, Offset.CELLS_X + axis])
-    if neighbour(place, face, 1, table, scene, arrays) >= 0:
-        kind = Face.CELL
-    elif solid == 1 or (edge and is_wall(face, scene, arrays) == 1):
-        kind = Face.TIGHT
-        if (solid == 1 or face == 2) and arrays.settings[scene, Setting.DRAINED] > 0.0:
-            kind = Face.DRAIN
-    elif neighbour(place, face, 2, table, scene, arrays) >= 0:
-        kind = Face.GAP
-    return kind
-
-
-@ti.func
-def below_surface(sums, face: ti.template()):
-    """How far the centre of mass of a cell lies below a surface beyond a face [cells]: what fills it lies opposite."""
-    return ti.max(0.5 + ti.static(2 * (face % 2) - 1) * sums[Pore.CENTRE_X + ti.static(face // 2)], 0.25)
-
-
-@ti.func
-def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.template()):
-    """The change of the pressure of a cell explicit in time, its slope, the diagonal of the system, its neighbours."""
-    features, dx = arrays.features, arrays.settings[scene, Setting.CELL]
-    sums, table = arrays.cells[2 * cell], arrays.workers[worker, Worker.COLUMN]
-    column, dry = arrays.beside[cell, Beside.COLUMN], arrays.beside.shape[0] - 1
-    place = ti.Vector([column, cell - arrays.bases[column]])
-    pressure, inflow, given = sums[Pore.PRESSURE], 0.0 * sums[Pore.PRESSURE], arrays.cells[2 * cell + 1]
-    pull = ti.Vector([arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0 * dx])
-    full, diagonal = 1.0 + 0.0 * pressure, 0.0 * pressure
-    for axis in ti.static(range(features.dimension)):
-        rise, run = 0.0 * pressure, 0.0 * pressure
-        for side in ti.static(range(2)):
-            face = ti.static(2 * axis + side)
-            away = ti.static(2 * side - 1)
-            kind = beyond_face(cell, place, face, table, scene, arrays)
-            arrays.beside[cell, face] = dry
-            if kind == Face.CELL:
-                next_cell = neighbour(place, face, 1, table, scene, arrays)
-                arrays.beside[cell, face] = next_cell
-                diagonal += stiffness
-                other = arrays.cells[2 * next_cell]
-                apart = ti.max(1.0 + away * (other[Pore.CENTRE_X + axis] - sums[Pore.CENTRE_X + axis]), 0.25)
-                weight = 0.0 * pressure
-                for k in ti.static(range(features.dimension)):
-                    part = other[Pore.CENTRE_X + k] - sums[Pore.CENTRE_X + k]
-                    if ti.static(k == axis):
-                        part += away
-                    weight += DENSITY * dx * pull[k] * part
-                there, here = other[Pore.PRESSURE] + other[Pore.SUCTION], pressure + sums[Pore.SUCTION]
-                step = ti.max(there, 0.0) - ti.max(here, 0.0) - other[Pore.SUCTION] + sums[Pore.SUCTION]
-                flow = (step - weight) / apart
-                # Nothing flows out of pores that are not full.
-                if (flow > 0.0 and there > 0.0) or (flow < 0.0 and here > 0.0):
-                    inflow += flow
-                rise += away * step
-                run += apart
-            elif kind == Face.SURFACE or kind == Face.DRAIN:
-                distance = 0.5 + 0.0 * pressure
-                if kind == Face.SURFACE:
-                    distance = below_surface(sums, face)
-                    full *= ti.min(2.0 * distance, 1.0)
-                    diagonal += stiffness / distance
-                else:
-                    diagonal += diffusion / distance
-                head = ti.max(pressure, 0.0 - sums[Pore.SUCTION])
-                outflow = head / distance + DENSITY * dx * pull[axis] * away
-                if (outflow > 0.0 and pressure > 0.0) or (outflow < 0.0 and kind == Face.SURFACE):
-                    inflow -= outflow
-            elif kind == Face.GAP:
-                # Water does not pass it, but what is beside it gives way.
-                diagonal += (stiffness - diffusion) / below_surface(sums, face)
-            elif kind == Face.TIGHT:
-                rise += arrays.settings[scene, Setting.SEEPAGE] * DENSITY * dx * pull[axis]
-                run += arrays.settings[scene, Setting.SEEPAGE]
-        if run > 0.0:
-            given[Pore.SLOPE_X + axis - NODE] = rise / run
-    source = diffusion * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
-    given[Pore.CHANGE - NODE], given[Pore.SOURCE - NODE] = source / full, source
-    given[Pore.SHARE - NODE], given[Pore.PER_DIAGONAL - NODE] = full, 1.0 / (full + diagonal)
-    arrays.cells[2 * cell + 1] = given
-
-
-@ti.func
-def relax_cell(cell, stiffness, arrays: ti.template()):
-    """One step of Gauss and Seidel for the change of the pressure in a cell."""
-    given = arrays.cells[2 * cell + 1]
-    total = 0.0 * stiffness
-    for face in ti.static(range(2 * arrays.features.dimension)):
-        total += number(arrays.cells, arrays.beside[cell, face], Pore.CHANGE)
-    total = (given[Pore.SOURCE - NODE] + stiffness * total) * given[Pore.PER_DIAGONAL - NODE]
-    arrays.cells[2 * cell + 1][Pore.CHANGE - NODE] = total
+    solve_cells(thread, scene, stiffness, diffusion, arrays)
+    first, end = workers_of(thread, arrays)
+    for worker in range(first, end):
+        table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
+        for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+            take_from_cells(scene, table, block, scratch, 1.0 - diffusion / stiffness, arrays)
 
 
 @ti.func

@@ -75,7 +75,6 @@ def test_on_a_gpu_a_scene_beside_one_without_numbers_keeps_its_energies(monkeypa
 @pytest.mark.parametrize(("particles", "parts"), [(19_999, 1), (20_000, 2), (39_999, 2), (40_000, 4), (10**6, 4)])
 def test_a_large_scene_has_the_same_parts_on_one_two_and_four_threads(particles: int, parts: int) -> None:
     assert [parts_for(particles, threads) for threads in (1, 2, 4)] == [parts] * 3
-    assert parts_for(particles, 2, whole=True) == 1
     assert parts_for(particles, 3) == workers_for(particles, 3)
 
 

@@ -296,7 +296,8 @@ def test_the_moduli_of_water_and_grains_are_numerical(monkeypatch: pytest.Monkey
 def column(
     ratio: float | None, *, cell: float = 0.01, young: float = 2.0e5, seed: int = 0, **changes: Any
 ) -> Trajectory:
-    """The flow of a column of 0.2 m; dry without a ratio. changes: of the scene, and its `material`."""
+    """The flow of a column of 0.2 m; dry without a ratio. changes: of the scene, its `material` and `threads`."""
+    threads = changes.pop("threads", None)
     soil = dataclasses.replace(WET, saturated=ratio is not None, young=young, **changes.pop("material", {}))
     bed = Solid(kind="terrain", points=((0.0, 0.0), (1.6, 0.0)), friction=0.4)
     body = Mass(lower=(0.0, 0.0), size=(0.2, 0.2), k0=0.5, initial_pore_pressure_ratio=ratio)
@@ -304,7 +305,8 @@ def column(
     with warnings.catch_warnings():
         # That no stress within yield balances gravity on a jittered grid; the column falls at once.
         warnings.simplefilter("ignore")
-        return simulate(scene_of(body, size=(1.6, 0.3), cell=cell, seed=seed, **given))
+        flow = scene_of(body, size=(1.6, 0.3), cell=cell, seed=seed, **given)
+        return simulate(flow, threads=threads, record=FIELDS if threads else Recording())
 
 
 def front(ratio: float | None, *, seeds: int = 3, **changes: Any) -> float:
@@ -321,6 +323,23 @@ def test_columns_run_farther_the_more_water_bears() -> None:
     assert fronts[-1] > 1.7 * dry
     assert front(0.5, cell=0.02) == pytest.approx(fronts[1], rel=0.08)
     assert front(0.5, step_fraction=0.2) == pytest.approx(fronts[1], rel=0.12)
+
+
+@pytest.mark.parametrize("bed", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_wet_scene_in_parts_is_the_same_flow_on_one_and_two_threads(
+    bed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: dict[str, Any] = {"young": 2.0e6, "duration": 0.06, "material": {"consolidation": 1.0e-3}}
+    given |= {} if bed else {"solids": ()}
+    whole = column(0.5, threads=1, **given)
+    monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
+    monkeypatch.setattr("mpm.simulation.LARGE", 0)
+    one, two = (column(0.5, threads=threads, **given) for threads in (1, 2))
+    for shared in (one, two):
+        np.testing.assert_allclose(shared.positions, whole.positions, atol=1e-4)
+        np.testing.assert_allclose(pressures(shared), pressures(whole), atol=0.02 * pressures(whole).max())
+    np.testing.assert_array_equal(one.positions, two.positions)
+    np.testing.assert_array_equal(pressures(one), pressures(two))
 
 
 @pytest.mark.slow

@@ -203,7 +203,9 @@ def test_a_training_begins_with_the_mean_acceleration(flows: Flows, settings: Mo
     flow = dataclasses.replace(flows[0], positions=resting, velocity0=np.zeros_like(flows[0].velocity0))
     normalisation, mean = statistics([[flow]])
     simulator = untrained(settings, [[flow]])
-    assert mean[1] * normalisation.acceleration_scale == pytest.approx(9.81 * flow.step**2 / flow.units.length, rel=1e-3)
+    assert mean[1] * normalisation.acceleration_scale == pytest.approx(
+        9.81 * flow.step**2 / flow.units.length, rel=1e-3
+    )
     assert torch.equal(list(simulator.network.decoder.parameters())[-1][:2], mean)
 
 
