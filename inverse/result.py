@@ -195,6 +195,7 @@ class Result:
         keys: dict[str, Any] = {
             "problem": problem.name,
             "solids": [[solid.name, solid.kind] for solid in problem.scene.solids],
+            "angle": problem.scene.material.angle,
             "verdict": self.verdict.value,
             "unknowns": self.unknowns,
             "interval": self.interval,

@@ -1,11 +1,14 @@
 """Everything that a result leaves in a folder, and its posterior read again."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from datasets.files import make_folder, reading, replacing, write_json, write_text
+from datasets.errors import require
+from datasets.files import make_folder, read_json, reading, replacing, write_json, write_text
 from datasets.flow.array_files import read_arrays, write_npz
+from datasets.scene import Scene
 from datasets.scene.library import write_scene
 from inverse import inference_data, pictures, report
 from inverse.posterior import Matrix
@@ -43,3 +46,10 @@ def read_samples(path: Path) -> tuple[list[str], Matrix]:
         if samples.shape != (len(weights), len(names)):
             raise ValueError
         return names, samples[order]
+
+
+def require_same_angle(path: Path, names: Sequence[str], scene: Scene) -> None:
+    """Raises InputError where samples at `path` of angles of friction were measured otherwise than a scene's."""
+    angle = (read_json(path.parent / "result.json") or {}).get("angle", scene.material.angle)
+    if any(name.endswith(("friction_deg", "friction_limit_deg")) for name in names):
+        require(scene.material.angle == angle, "material.angle", f"{angle}, as in the inversion", scene.material.angle)

@@ -14,9 +14,9 @@ from datasets.exchange.map_box import plan_around, posts_of, with_elevations
 from datasets.exchange.meshes import read_mesh
 from datasets.exchange.spreadsheet import read_columns
 from datasets.geometry.ground import BEYOND, TOUCHING, Floats
-from datasets.geometry.shapes import usual
+from datasets.geometry.shapes import check_kind, usual
 from datasets.geometry.shells import outward
-from datasets.scene.parts import INFLOW, Domain
+from datasets.scene.parts import INFLOW, Domain, Mass, Solid
 from datasets.schema import from_mapping
 
 Entry = dict[str, Any]
@@ -75,6 +75,8 @@ class Reader:
         if not isinstance(entry, dict) or not isinstance(entry.get("kind", ""), str):
             return entry
         entry, kind = dict(entry), entry.get("kind", "box")
+        if kind != WATER:
+            check_kind(kind, Solid if key.startswith("solids") else Mass, key, len(self.size))
         if key.startswith("masses") and kind != "box":
             refuse(entry, ("lower", "size"), key, f"no such key of a {kind}")
         name = FILES.get(kind, "")

@@ -31,12 +31,17 @@ def usual(number: float) -> bool:
     return abs(number) <= FARTHEST
 
 
+def check_kind(kind: str, group: type, key: str, dimension: int) -> None:
+    """Raise InputError unless solids or masses, `group`, have a kind of this name."""
+    kinds = [name for owner, name, axes in KEYS if (owner, axes) == (group, dimension)]
+    require(kind in kinds, f"{key}.kind", f"{', '.join(kinds)} in {dimension}D", repr(kind))
+
+
 def check_shape(shape: Solid | Mass, key: str, dimension: int) -> None:
     """Raise InputError unless a solid or a mass has the keys that its kind needs and none of another, with a shape."""
+    check_kind(shape.kind, type(shape), key, dimension)
     forms = {form: keys for form, keys in KEYS.items() if isinstance(shape, form[0])}
-    kinds = {kind: keys for (_, kind, axes), keys in forms.items() if axes == dimension}
-    require(shape.kind in kinds, f"{key}.kind", f"{', '.join(kinds)} in {dimension}D", repr(shape.kind))
-    needed, optional = kinds[shape.kind]
+    needed, optional = KEYS[type(shape), shape.kind, dimension]
     for name in sorted({name for keys in forms.values() for part in keys for name in part}):
         given = getattr(shape, name) is not None
         files = " or a file" * (shape.kind in ("terrain", "mesh", INFLOW))

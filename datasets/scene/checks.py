@@ -32,6 +32,10 @@ SLACK = 1.0e-3
 """Relative, of a limit that a user wrote in decimals."""
 LIGHT, WATER = 30.0, 1000.0
 """Density [kg/m^3] below which no soil and no snow is; that of water."""
+FASTEST, YEAR = 10.0, 365.25 * 86400.0
+"""Coefficient of consolidation [m^2/s] above which no soil's is; seconds of a year."""
+WEAKEST = 5.0e-4
+"""Cohesion over the pressure rho g h under a body below which it looks like one in kPa."""
 SOFTEST = 10.0
 """Young's modulus over the pressure rho g h under a body, below which it sinks by a twentieth of its height or more."""
 
@@ -317,6 +321,11 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
                 f"{thick:g} m is {thick / long:.2g} times the length of the layer; in cm it would be {thick / 100:g} m"
             )
             warnings.warn(f"{key}.thickness: {said}", stacklevel=3)
+    if scene.water is not None and (level := scene.water.level or 0.0) > scene.domain.size[1]:
+        said = (
+            f"level lies {level - scene.domain.size[1]:.3g} m above the top of the box: all that is saturated is full"
+        )
+        warnings.warn(f"water.{said}", stacklevel=3)
     terrains = [(key, solid) for key, solid in keyed(scene, "solids").items() if solid.kind == "terrain"]
     # Of several the highest is the ground.
     for key, solid in terrains if len(terrains) == 1 else ():
@@ -346,12 +355,19 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
             lines.append(f"{light}; in {unit} it would be {factor * material.density:.4g} kg/m^3")
         elif material.saturated and material.density <= WATER:
             lines.append(f"density = {material.density:g} kg/m^3, of grains and water, is no more than water's")
+        if (material.consolidation or 0.0) > FASTEST:
+            years = f"in m^2/year it would be {material.consolidation / YEAR:.2g} m^2/s"
+            lines.append(f"consolidation = {material.consolidation:g} m^2/s drains faster than any soil; {years}")
         if (grain := material.grain_diameter or 0.0) > scene.domain.cell:
             lines.append(f"grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m")
         heights = [height(scene, mass) for mass in scene.masses if scene.material_of(mass) == material]
-        least = SOFTEST * (material.density * scene.gravity * max(heights, default=0.0))
+        weight = material.density * scene.gravity * max(heights, default=0.0)
+        least = SOFTEST * weight
         if material.modulus < least:
             soft = f"young = {material.modulus:g} Pa is less than {SOFTEST:g} rho g h = {least:.3g} Pa"
             lines.append(f"{soft}: the body sinks under its own weight by more than a twentieth of its height")
+        if 0.0 < material.cohesion < WEAKEST * weight:
+            weak = f"cohesion = {material.cohesion:g} Pa is next to nothing beside rho g h = {weight:.3g} Pa"
+            lines.append(f"{weak}; in kPa it would be {1e3 * material.cohesion:g} Pa")
         for line in lines:
             warnings.warn(f"{key}.{line}", stacklevel=3)

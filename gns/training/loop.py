@@ -114,6 +114,8 @@ def fit(
     """Train a model, begun by `command`; else as `gns.train`. Raises InputError, WorkFailed and KeyboardInterrupt."""
     if resume and not (out / LAST).exists():
         raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
+    if not resume and (out / LAST).exists():
+        raise InputError(f"it holds a training: --resume continues {LAST}, another --out begins anew", where=str(out))
     if training.correct and begin is None:
         raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")
     with ExitStack() as stack:

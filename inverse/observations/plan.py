@@ -211,6 +211,7 @@ class ThicknessSettings(ObservationSettings):
         reach = max(2.0 * max(grid.spacing), AROUND * math.sqrt(covered.sum() * math.prod(grid.spacing)))
         cells = np.flatnonzero((apart <= reach).ravel() & np.isfinite(values))
         shown = values[cells]
+        self.warn_of_noise(shown, scene.domain.size[1])
         # Bare ground among bare ground is known to be bare.
         edge = binary_dilation(covered, np.ones((3, 3))).ravel()[cells]
         deviation = np.where(edge, Noise.stated(self.noise).of(shown), 0.0)

@@ -203,6 +203,7 @@ class ProfileSettings(LengthsSettings):
     def sampled(self, operator: Profile, values: Values, profile: MeasuredProfile) -> Target:
         """`values` [M] with stated errors of the heights and of representation, more where rows scatter more."""
         noise = Noise.stated(self.noise)
+        self.warn_of_noise(profile.height, operator.scene.domain.size[1])
         represented = math.hypot(noise.deviation, REPRESENTATION * operator.scene.domain.cell)
         stated = profile.deviation(replace(noise, deviation=represented))
         roughness = profile.roughness(stated)

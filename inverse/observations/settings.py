@@ -94,12 +94,17 @@ class ObservationSettings(Record):
     def compared(self, operator: Observation, values: Values) -> Target:
         """`values` [M] with errors that are independent of each other."""
         errors = Covariance(Noise.stated(self.noise).of(values))
-        span, largest = np.max(operator.limits[1]) - np.min(operator.limits[0]), float(errors.deviation.max())
-        if largest > span:
-            said = f"a noise of {largest:g} is more than the range of what is possible, {span:g}"
-            warnings.warn(f'{self.name or self.kind}: {said}; a percentage is written "{largest:g}%"', stacklevel=2)
+        self.warn_of_noise(values, float(np.max(operator.limits[1]) - np.min(operator.limits[0])))
         dof = np.full(len(values), self.noise.dof) if isinstance(self.noise, Student) else None
         return Target(observation=operator, values=values, errors=errors, dof=dof)
+
+    def warn_of_noise(self, values: Values, span: float) -> None:
+        """One UserWarning for a noise that looks like a percentage without its sign; span: range of possible values."""
+        noise, largest = Noise.stated(self.noise).deviation, float(np.nanmax(np.abs(values)))
+        if noise > span or noise >= max(1.0, largest):
+            than = f"the range of what is possible, {span:g}" if noise > span else f"every number, at most {largest:g}"
+            said = f"a noise of {noise:g} is more than {than}"
+            warnings.warn(f'{self.name or self.kind}: {said}; a percentage is written "{noise:g}%"', stacklevel=3)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         """What was measured. Raises InputError, which names the key or the table.

@@ -21,6 +21,8 @@ from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
 
+MOVING = "not at rest"
+"""How the remark on a flow that still moves at its end begins."""
 AT_REST = 1e-3
 """Kinetic energy of a deposit at rest, over its largest, at most."""
 SLOW = 2e-3
@@ -175,6 +177,11 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     )
 
 
+def still_moves(summary: Mapping[str, Any]) -> bool:
+    """Whether a flow had not come to rest at its end, by its summary."""
+    return any(line.startswith(MOVING) for line in summary.get("remarks", []))
+
+
 def caveats(
     scene: Scene,
     particles: Particles,
@@ -194,7 +201,7 @@ def caveats(
     speed = math.sqrt(2.0 * float(kinetic[-1]) / mass)
     if kinetic[-1] > AT_REST * kinetic.max() and speed > SLOW * math.sqrt(scene.gravity * scene_height(scene)):
         moving = f"at t = {end_time:g} s, the end, it still moves at {speed:.2g} m/s (rms)"
-        lines.append(f"not at rest: {moving}; front and deposit are not final")
+        lines.append(f"{MOVING}: {moving}; front and deposit are not final")
     for number, side in enumerate(DOMAIN_SIDES[: 2 * scene.dimension]):
         axis, upper = divmod(number, 2)
         if side in (*scene.open_sides, "y-"):

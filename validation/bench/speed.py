@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from datasets import maps
 from datasets.files import make_folder
-from datasets.geometry.placement import remembers_gaps
 from datasets.flow.trajectory import open_trajectory
+from datasets.geometry.placement import remembers_gaps
 from datasets.processes import processors
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.scene.library import read_scene

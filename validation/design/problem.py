@@ -27,7 +27,7 @@ from inverse.parameters.field import UnknownField
 from inverse.parameters.prior import Correlation, JointPrior
 from inverse.posterior import Matrix, Row
 from inverse.problem import Box, read_problem
-from inverse.saving import read_samples
+from inverse.saving import read_samples, require_same_angle
 from inverse.search.waves import jitter_seed
 from inverse.settings import counted
 
@@ -298,6 +298,8 @@ def read_design(name: str | Path) -> DesignProblem:
             keys["scene"] = read_scene(beside if file.scene.endswith(".toml") else find(file.scene, SCENES, "scene"))
         else:
             keys["scene"] = scene_from(file.scene, path.parent)
+        if posterior is not None:
+            require_same_angle(path.parent / posterior, names, keys["scene"])
         return DesignProblem(name=path.stem, **keys)
 
 

@@ -46,6 +46,8 @@ class Checked:
     seconds: float
     remark: str = ""
     """What must be known of these flows besides."""
+    moving: int = 0
+    """Flows of the check that keep the limit at their end but still move, where they may go on to exceed it."""
 
     @property
     def expected(self) -> float:
@@ -74,12 +76,14 @@ class Checked:
 
     @property
     def verdict(self) -> Verdict:
-        """Confirmed where no larger share of the check exceeds the limit than 1 - p.
+        """Confirmed where no larger share of the check exceeds the limit, or may once it rests, than 1 - p.
 
         Unreachable where a larger one does, and no design between the bounds is expected to do better than p.
         """
-        if self.exceeding <= self.problem.allowed:
+        if self.exceeding + self.moving <= self.problem.allowed:
             return Verdict.CONFIRMED
+        if self.exceeding <= self.problem.allowed:
+            return Verdict.UNCONFIRMED
         return Verdict.UNCONFIRMED if self.expected >= self.problem.limit.probability else Verdict.UNREACHABLE
 
 

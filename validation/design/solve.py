@@ -12,6 +12,7 @@ from datasets.markdown import markdown_table
 from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
 from mpm import ALL, LAST, simulate_many
+from mpm.output.outcome import still_moves
 from validation.design.predictor import predictor
 from validation.design.problem import DesignProblem, read_design
 from validation.design.race import RacedDesign, raced
@@ -56,7 +57,8 @@ def find_design(
         remarks = caveats(flows)
         # On deposits, which a force does not depend on.
         if remarks and not limit.force:
-            outcome = replace(outcome, remark=remarks[0])
+            moving = [still_moves(flow.summary) and flow.summary[limit.quantity] < limit.below for flow in flows]
+            outcome = replace(outcome, remark=remarks[0], moving=sum(moving))
         if out is not None:
             write_json(folder / "design.json", record(outcome))
             write_text(folder / "report.md", report(outcome))
@@ -102,6 +104,7 @@ def record(outcome: Design | RacedDesign) -> dict[str, Any]:
             "interval": outcome.interval,
         },
         "exceeding": outcome.exceeding,
+        "moving": outcome.moving,
         "allowed": problem.allowed,
         **extra,
         "runs": outcome.spent,
@@ -142,6 +145,8 @@ def summary(outcome: Design | RacedDesign) -> list[str]:
         f"{outcome.responses.max():.4g} {problem.unit}",
         f"{spent}{',' if isinstance(outcome, Design) else ''} {outcome.seconds:.0f} s",
     ]
+    if outcome.moving:
+        lines.append(f"{outcome.moving} of these flows still move and may yet exceed it: a longer duration decides")
     return [*lines, outcome.remark] if outcome.remark else lines
 
 

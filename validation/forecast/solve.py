@@ -14,7 +14,7 @@ from datasets.scene.grid_field import Floats
 from datasets.scene.library import read_scene
 from inverse.forward import Simulate
 from inverse.parameters import kind
-from inverse.saving import read_samples
+from inverse.saving import read_samples, require_same_angle
 from mpm import simulate_many
 from validation.forecast.predict import LEVELS, Forecast, predicted, quantiles
 from validation.plots import BLUE, GREY, LIGHT_BLUE, ORANGE, figure
@@ -96,6 +96,7 @@ def known_of(result: Path, scene: Scene) -> tuple[list[str], Floats, list[str]]:
                 remarks.append(f"{name} of the inversion is {names[index]} of this scene")
     if not kept:
         raise InputError(f"expected a scene with one of {', '.join(names)}: {remarks[0]}", where=str(path))
+    require_same_angle(path, [names[index] for index in kept], scene)
     verdict = record.get("verdict")
     if verdict not in (None, "confirmed"):
         remarks.append(f"the answer that is forecast is {verdict}")
