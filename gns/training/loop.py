@@ -325,7 +325,7 @@ def load(
 def untrained(settings: ModelSettings, flows: Sequence[Flows]) -> Simulator:
     """A model to begin with: random weights, and the mean acceleration of the data, which bears most of the weight.
 
-    From free flight, as random weights alone have it, small steps of the weights take thousands of updates to get there.
+    From free flight, as random weights alone have it, small steps of the weights take thousands of updates to reach it.
     """
     normalisation, mean = statistics(flows)
     simulator = Simulator(settings, normalisation)
