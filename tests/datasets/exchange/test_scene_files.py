@@ -333,6 +333,7 @@ def test_files_that_are_refused(tmp_path: Path, name: str, write: Callable[[Path
     ("text", "words"),
     [
         (TERRAIN + "points = [[0.0, 0.1], [1.5, 0.1]]\n", "solids[0].points: expected ground over the whole box"),
+        ('[[solids]]\nkind = "terain"\nfile = "x.csv"\n', "solids[0].kind: expected box, polygon, terrain in 2D"),
         (TERRAIN, "solids[0].points: expected `points` or a file of a terrain"),
         (TERRAIN + "file = 'x.csv'\nscale = 2.0\n", "solids[0].scale: expected no such key but of a mesh"),
         ("open_sides = ['z-']\n", "open_sides[0]: expected one of x-, x+, y-, y+"),

@@ -220,6 +220,13 @@ def test_mistakes_are_named_in_one_line(
     assert message in capsys.readouterr().err.splitlines()[-1]
 
 
+def test_a_training_is_not_lost_to_another(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / LAST).write_bytes(b"of an earlier training")
+    assert run_train(dataset, tmp_path, *TINY, "--updates", "1") == 2
+    assert f"{tmp_path}: it holds a training: --resume continues last.pt" in capsys.readouterr().err.splitlines()[-1]
+    assert (tmp_path / LAST).read_bytes() == b"of an earlier training"
+
+
 def test_a_run_of_another_model_or_a_broken_file_is_not_resumed(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,7 @@ from inverse import Correlation, Parameter, Prior
 from inverse.answer import Verdict
 from inverse.posterior import Matrix, Row
 from mpm import simulate
+from mpm.output.outcome import still_moves
 from tests.refusals import refused
 from tests.scenes import scene_of
 from validation import find_design
@@ -73,6 +74,10 @@ def test_the_cheapest_design_of_a_known_response_is_found(seed: int) -> None:
     assert result.spent <= problem.runs
     true = norm.cdf((result.design["baffles[0].height"] + 1.5 * result.design["baffles[1].height"] - 0.2) / 0.0304)
     assert true == pytest.approx(problem.required, abs=0.015)
+    # Flows that still move may yet exceed the limit.
+    allowed = problem.allowed - result.exceeding
+    verdicts = [replace(result, moving=moving).verdict for moving in (allowed, allowed + 1)]
+    assert verdicts == [Verdict.CONFIRMED, Verdict.UNCONFIRMED]
 
 
 def test_the_most_reliable_design_is_found_where_nothing_has_a_cost() -> None:
@@ -165,6 +170,8 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
     assert np.corrcoef(drawn[:, 1], drawn[:, 2])[0, 1] == pytest.approx(-1.0)
     assert abs(np.corrcoef(drawn[:, 0], drawn[:, 1])[0, 1]) < 0.3
     assert drawn[:, 1].mean() == pytest.approx(angle[angle > 30.0].mean(), abs=0.1)
+    (file.parent / "result.json").write_text(json.dumps({"angle": "slope"}))
+    refused(read_design, file, said="material.angle: expected slope, as in the inversion")
 
 
 @pytest.mark.parametrize(
@@ -201,6 +208,16 @@ def test_the_shipped_problem_is_read() -> None:
     assert len(problem.variables) == 4
     assert problem.allowed == 5
     assert 0.96 < problem.required < 0.98
+
+
+def test_flows_that_still_move_are_counted(tmp_path: Path) -> None:
+    """The check of a design whose flows end before they rest."""
+    short = replace(SCENE, duration=0.1)
+    assert still_moves(simulate(short).summary)
+    problem = problem_of(scene=short, budget=Budget(runs=20, checks=20))
+    result = find_design(problem, tmp_path)
+    assert (result.exceeding, result.moving, result.verdict) == (0, 20, Verdict.UNCONFIRMED)
+    assert "20 of these flows still move and may yet exceed it" in (tmp_path / "report.md").read_text()
 
 
 def test_a_force_is_that_of_the_solid() -> None:

@@ -153,6 +153,9 @@ def test_mistakes_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "--draws" in refused_by(capsys, main, result, "column-tall-42", *out, "--draws", 1)
     assert "--model-error" in refused_by(capsys, main, result, "column-tall-42", *out, "--model-error", -0.1)
     assert "3D" in refused_by(capsys, main, result, "column-tall-42", *out, "--pressure", 100)
+    record = json.loads((result / "result.json").read_text()) | {"angle": "slope"}
+    (result / "result.json").write_text(json.dumps(record))
+    refused(lambda: forecast_scene(result, SCENE), said="material.angle: expected slope, as in the inversion")
     wild = tmp_path / "wild.npz"
     np.savez(wild, names=np.array(["friction_deg"]), samples=np.full((10, 1), 95.0), weights=np.full(10, 0.1))
     refused(lambda: forecast_scene(wild, SCENE, simulate=Slabs()), said="friction_deg = 95")
