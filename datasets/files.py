@@ -135,7 +135,7 @@ def file_size(path: Path, what: str, *, most: int | None = None) -> int:
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"expected {what}, there is none", where=str(path)) from None
+        raise InputError(f"expected {what}, there is no such file", where=str(path)) from None
     except (OSError, ValueError) as error:
         raise InputError(f"expected {what}, {line_of(error)}", where=str(path)) from None
     if not stat.S_ISREG(status.st_mode):

@@ -10,6 +10,7 @@ A thickness T normal to the bed is T / cos(slope) along the vertical, cell by ce
 
 import math
 import os
+import shlex
 import sys
 import warnings
 from pathlib import Path
@@ -300,7 +301,8 @@ def command(
         f"{' x '.join(f'{length:g}' for length in size)} m in cells of {scene.domain.cell:g} m, "
         f"{seconds:g} s, at most {speed:.3g} m/s by the energy line"
     )
-    print(f"python -m mpm.run {out} --out DIR --until-rest, then python -m datasets.maps DIR --out MAPS")
+    written = shlex.quote(str(out))
+    print(f"python -m mpm.run {written} --out DIR --until-rest, then python -m datasets.maps DIR --out MAPS")
 
 
 if __name__ == "__main__":

@@ -313,7 +313,10 @@ def read_problem(name: str) -> Problem:
     """
     path = find(name, PROBLEMS, "problem")
     with naming(path):
-        file = from_mapping(_File, read_toml(path))
+        data = read_toml(path)
+        if "domain" in data:
+            raise InputError("expected a problem, got a scene: python -m mpm.run takes it", key="domain")
+        file = from_mapping(_File, data)
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         scene = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
         keys = vars(file) | {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}

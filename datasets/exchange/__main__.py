@@ -205,7 +205,7 @@ def command(
     if (to is None) == (from_ is None):
         raise InputError("expected one of --to and --from")
     if (scene is None) != (from_ is None) or (to is not None and up != "y"):
-        raise InputError("expected --scene with --from, and it and --up with --from alone")
+        raise InputError("--from needs --scene; --scene and --up go with --from only")
     if not dataset.is_dir():
         raise InputError("expected the folder of a dataset, there is none", where=str(dataset))
     if scene is None:

@@ -151,7 +151,7 @@ def test_what_makes_no_site_is_one_line(tmp_path: Path, capsys: pytest.CaptureFi
     for shape, flags, said in (
         (far, [], "polygons that lie on the raster"),
         (FIELD, ["--thickness", "0"], "--thickness: expected a thickness above 0 m"),
-        (FIELD, ["--thickness", "none.tif"], "none.tif: --thickness: expected a raster, there is none"),
+        (FIELD, ["--thickness", "none.tif"], "none.tif: --thickness: expected a raster, there is no such file"),
         (FIELD, ["--friction", "-1"], "--friction: expected a coefficient"),
         (FIELD, ["--turbulence", "0"], "--turbulence: expected a coefficient"),
         (FIELD, ["--cell", "0"], "--cell: expected a length above 0 m"),

@@ -215,7 +215,7 @@ def test_missing_truncated_and_foreign_files_are_input_errors(file: Path, tmp_pa
     for content in (whole[: len(whole) // 2], whole[:10], b"", b"not a model"):
         file.write_bytes(content)
         refused(checkpoint.load, file, said="model.safetensors: expected whole weights")
-    refused(checkpoint.load, tmp_path / "absent.safetensors", said="there is none")
+    refused(checkpoint.load, tmp_path / "absent.safetensors", said="there is no such file")
     save_file({"weights": torch.zeros(1)}, file)
     refused(checkpoint.load, file, said="model.safetensors: format: expected a model of format")
 

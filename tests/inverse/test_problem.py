@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from datasets import Scene, Trajectory
+from datasets.scene.library import SCENES
 from inverse import Problem, TargetSettings, read_problem
 from inverse.__main__ import main
 from inverse.observations import KINDS
@@ -170,3 +171,8 @@ def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
     assert target.front_error(dataclasses.replace(seen, positions=1.01 * seen.positions)) == pytest.approx(
         0.01, rel=1e-4
     )
+
+
+def test_a_scene_is_no_problem() -> None:
+    path = SCENES / "column-tall-42.toml"
+    refused(read_problem, str(path), said="domain: expected a problem, got a scene: python -m mpm.run takes it")

@@ -97,7 +97,7 @@ def test_another_run_is_refused(checkpoint: Checkpoint, scene: Scene, options: A
 @pytest.mark.parametrize("change", [{"run": None}, {"frame": np.array("{")}])
 def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, change: dict[str, Any]) -> None:
     path = tmp_path / "checkpoint.npz"
-    refused(Checkpoint.load, path, said="expected a whole NPZ of plain arrays (a checkpoint), there is none")
+    refused(Checkpoint.load, path, said="expected a whole NPZ of plain arrays (a checkpoint), there is no such file")
     checkpoint.save(path)
     with np.load(path, allow_pickle=False) as file:
         arrays = {key: value for key, value in (dict(file) | change).items() if value is not None}

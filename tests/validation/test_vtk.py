@@ -116,7 +116,7 @@ def test_no_opengl_is_one_line_after_the_series(
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["absent.npz"], "absent.npz: expected a whole NPZ of plain arrays (a trajectory), there is none"),
+        (["absent.npz"], "absent.npz: expected a whole NPZ of plain arrays (a trajectory), there is no such file"),
         (["flow.npz", "--time", "0.3"], "--time: expected a time from 0 to 0.2 s"),
         (["flow.npz", "--frames", "0"], "--frames: expected an integer of at least 1"),
         (["flow.npz", "--colour", "pressure"], "flow.npz: pressure: expected a trajectory that recorded it"),

@@ -239,4 +239,4 @@ def test_mistakes_name_file_and_key(tmp_path: Path, old: str, new: str, expected
 
 def test_a_file_that_a_scene_lacks_is_named_itself(tmp_path: Path) -> None:
     text = TEXT.replace("{friction}", "30.0") + '[[scene.solids]]\nkind = "terrain"\nfile = "line.csv"\n'
-    refused(definition, tmp_path, text, said="line.csv: solids[0].file: expected a CSV, there is none")
+    refused(definition, tmp_path, text, said="line.csv: solids[0].file: expected a CSV, there is no such file")

@@ -208,8 +208,8 @@ def test_solids_in_3d_become_particles_that_stand(tmp_path: Path) -> None:
     ("arguments", "expected"),
     [
         (("--out", "o"), "one of --to and --from"),
-        ((*TO, "--up", "z", "--out", "o"), "with --from alone"),
-        ((*FROM, "--out", "o"), "expected --scene"),
+        ((*TO, "--up", "z", "--out", "o"), "go with --from only"),
+        ((*FROM, "--out", "o"), "--from needs --scene"),
         ((*FROM, "--scene", "column-tall-42", "--out", "o"), "metadata.json"),
     ],
 )

@@ -88,7 +88,7 @@ def test_a_box_ends_with_the_terrain(tmp_path: Path) -> None:
         ("cell = 4.0", "cell = 0", "domain.cell: expected a positive length"),
         ("cell = 4.0", "cell = 900", "domain.cell: expected cells that fit"),
         ("cell = 4.0", 'cell = 4.0, crs = "EPSG:4326"', "domain.crs: expected a projected coordinate system"),
-        ("release.gpkg", "no.gpkg", "no.gpkg: expected polygons, lines or points, there is none"),
+        ("release.gpkg", "no.gpkg", "no.gpkg: expected polygons, lines or points, there is no such file"),
         ('"release.gpkg"', "3", "domain.around: expected the name of a file"),
         ('kind = "terrain", file = "dem.tif"', "lower = [0, 0, 0], size = [1, 1, 1]", "around: expected a terrain"),
     ],

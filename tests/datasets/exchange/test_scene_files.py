@@ -316,7 +316,7 @@ CASES: list[tuple[str, Callable[[Path], object], str]] = [
     ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
     ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:3857"), "metres are metres on the ground"),
     ("dem.tif", lambda path: write_raster(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
-    ("dem.asc", lambda path: None, "there is none"),
+    ("dem.asc", lambda path: None, "there is no such file"),
     ("dem.asc", lambda path: path.write_text("a,b\n1,2\n"), "expected a readable raster"),
 ]
 

@@ -132,7 +132,7 @@ def test_hdf5_of_numbers(tmp_path: Path) -> None:
     assert read_arrays(tmp_path / "data.h5", "fine/numbers")["fine/numbers"].tolist() == [0, 1, 2]
     for key in ("absent", "fine", "text", "endless"):
         refused(read_arrays, tmp_path / "data.h5", key, said=f"data.h5: {key}: expected an array")
-    refused(read_arrays, tmp_path / "none" / "other.h5", said="other.h5: expected a trajectory, there is none")
+    refused(read_arrays, tmp_path / "none" / "other.h5", said="other.h5: expected a trajectory, there is no such file")
 
 
 def test_volumes_and_the_time_between_frames(trajectory: Trajectory) -> None:

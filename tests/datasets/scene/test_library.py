@@ -56,7 +56,7 @@ def test_a_mistake_names_file_key_and_what_was_expected(
 
 
 def test_no_such_file_no_such_name_and_a_problem(tmp_path: Path) -> None:
-    refused(read_scene, str(tmp_path / "absent.toml"), said="there is none")
+    refused(read_scene, str(tmp_path / "absent.toml"), said="there is no such file")
     refused(read_scene, "colum-tall-21", said="did you mean 'column-tall-21'")
     path = tmp_path / "problem.toml"
     path.write_text('scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\n')
@@ -112,9 +112,9 @@ def test_numbers_of_another_unit_are_warned_of(changes: dict[str, float], messag
 
 
 def test_a_water_table_above_the_box_is_warned_of() -> None:
+    wet = dataclasses.replace(SCENE, material=dataclasses.replace(SAND, density=2000.0, saturated=True))
     with pytest.warns(UserWarning, match=r"water\.level lies 89\.5 m above the top of the box"):
-        wet = dataclasses.replace(SAND, density=2000.0, saturated=True)
-        warn_if_unlikely(dataclasses.replace(SCENE, material=wet, water=Water(level=90.0)))
+        warn_if_unlikely(dataclasses.replace(wet, water=Water(level=90.0)))
 
 
 @pytest.mark.parametrize(("end", "falls"), [(0.0, 0.0), (-0.2, 0.2)])
