@@ -10,12 +10,12 @@ import torch
 from datasets.flow import measures
 from gns import checkpoint
 from gns.network.correction import Correction, stretched
-from gns.settings import TrainingSettings
+from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator, unroll
 from gns.surroundings.state import Conditions, State
 from gns.training.losses import EndLoss
 from gns.training.samples import Rollouts, flows_of, measured
-from tests.gns.conftest import TINY, Cloud, rows, run_train
+from tests.gns.conftest import NORMALISATION, TINY, Cloud, rows, run_train
 
 
 @pytest.fixture
@@ -82,13 +82,16 @@ def test_ends_and_equal_shares_are_the_measured_ones() -> None:
 
 
 def test_a_correction_learns_and_is_left_out_where_the_steps_change(
-    dataset: Path, simulator: Simulator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # In free flight: the ends of what hardly moves would not be moved either.
+    tiny = ModelSettings(width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
+    simulator = Simulator(tiny, NORMALISATION)
     checkpoint.save(tmp_path / "steps.safetensors", simulator, {})
-    begin = ("--begin", str(tmp_path / "steps.safetensors"), "--device", "cpu", "--unroll", "1")
+    usual = ("--device", "cpu", "--unroll", "1", "--threads", "1")
+    begin = ("--begin", str(tmp_path / "steps.safetensors"), *usual)
     more = ("--correct", "--validations", "2", "--learning-rate", "2e-2", "--warmup", "5", "--validate-flows", "1")
-    assert run_train(dataset, tmp_path / "ends", *begin, *more, "--updates", "120") == 0
+    assert run_train(dataset, tmp_path / "ends", *begin, *more, "--updates", "60") == 0
     before, *_, after = (float(row["score"]) for row in rows(tmp_path / "ends"))
     assert after < 0.8 * before
     ends = checkpoint.load(tmp_path / "ends" / "best.safetensors").simulator
@@ -96,8 +99,8 @@ def test_a_correction_learns_and_is_left_out_where_the_steps_change(
     for name, weights in simulator.state_dict().items():
         torch.testing.assert_close(ends.state_dict()[name], weights)
     # The run goes on where it was, and another one that trains the steps begins without the correction.
-    assert run_train(dataset, tmp_path / "ends", *begin, *more, "--updates", "124", "--resume") == 0
-    begin = ("--begin", str(tmp_path / "ends" / "best.safetensors"), *begin[2:])
+    assert run_train(dataset, tmp_path / "ends", *begin, *more, "--updates", "64", "--resume") == 0
+    begin = ("--begin", str(tmp_path / "ends" / "best.safetensors"), *usual)
     assert run_train(dataset, tmp_path / "again", *begin, "--updates", "1") == 0
     assert checkpoint.load(tmp_path / "again" / "best.safetensors").simulator.correction is None
     assert run_train(dataset, tmp_path / "none", *TINY, "--correct") == 2

@@ -53,7 +53,7 @@ def last(out: Path) -> dict[str, Any]:
 
 
 def test_a_training_learns_and_leaves_a_model_with_its_card(dataset: Path, tmp_path: Path) -> None:
-    flags = ("--updates", "150", "--validations", "3", "--learning-rate", "1e-2", "--average", "0.9", "--warmup", "5")
+    flags = ("--updates", "120", "--validations", "2", "--learning-rate", "1e-2", "--average", "0.9", "--warmup", "5")
     assert run(dataset, tmp_path, *flags) == 0
     logged = rows(tmp_path)
     places = [float(row["front"]) + float(row["profile"]) for row in logged]

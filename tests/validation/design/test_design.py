@@ -276,6 +276,7 @@ def test_errors_of_the_predictor_are_those_of_the_design() -> None:
     assert result.design["baffles[0].height"] + 1.5 * result.design["baffles[1].height"] > 0.23
 
 
+@pytest.mark.slow
 def test_batches_and_processes_predict_what_single_flows_do() -> None:
     column = read_scene("column-short-21")
     scenes = [column, replace(column, material=replace(column.material, friction_deg=35.0))]
