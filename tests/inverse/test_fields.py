@@ -173,6 +173,7 @@ def test_mistakes_are_named(tmp_path: Path, before: str, after: str, key: str) -
     refused(read_problem, files(tmp_path, scene=SCENE.split("fields")[0]), said="as the truth")
 
 
+@pytest.mark.slow
 def test_the_derivative_of_the_numbers(tmp_path: Path) -> None:
     """Of two combinations of all numbers along a random direction of the field and of the number, for two seeds."""
     problem, rng = read_problem(files(tmp_path)), np.random.default_rng(0)
