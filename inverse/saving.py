@@ -50,6 +50,6 @@ def read_samples(path: Path) -> tuple[list[str], Matrix]:
 
 def require_same_angle(path: Path, names: Sequence[str], scene: Scene) -> None:
     """Raises InputError where samples at `path` of angles of friction were measured otherwise than a scene's."""
-    angle = (read_json(path.parent / "result.json") or {}).get("angle", scene.material.angle)
-    if any(name.endswith(("friction_deg", "friction_limit_deg")) for name in names):
-        require(scene.material.angle == angle, "material.angle", f"{angle}, as in the inversion", scene.material.angle)
+    angle, own = (read_json(path.parent / "result.json") or {}).get("angle"), scene.material.angle
+    if angle is not None and any(name.endswith(("friction_deg", "friction_limit_deg")) for name in names):
+        require(own == angle, "material.angle", f"{angle}, as in the inversion in {path.parent}", own)

@@ -322,10 +322,8 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
             )
             warnings.warn(f"{key}.thickness: {said}", stacklevel=3)
     if scene.water is not None and (level := scene.water.level or 0.0) > scene.domain.size[1]:
-        said = (
-            f"level lies {level - scene.domain.size[1]:.3g} m above the top of the box: all that is saturated is full"
-        )
-        warnings.warn(f"water.{said}", stacklevel=3)
+        above = f"{level - scene.domain.size[1]:.3g} m above the top of the box"
+        warnings.warn(f"water.level lies {above}: all that is saturated is full", stacklevel=3)
     terrains = [(key, solid) for key, solid in keyed(scene, "solids").items() if solid.kind == "terrain"]
     # Of several the highest is the ground.
     for key, solid in terrains if len(terrains) == 1 else ():

@@ -323,14 +323,15 @@ def load(
 
 
 def untrained(settings: ModelSettings, flows: Sequence[Flows]) -> Simulator:
-    """A model to begin with: random weights, and the mean acceleration of the data, which bears most of the weight.
+    """A model to begin with: random weights, and the mean upward acceleration of the data, which bears most of the
+    weight.
 
     From free flight, as random weights alone have it, small steps of the weights take thousands of updates to reach it.
     """
-    normalisation, mean = statistics(flows)
+    normalisation, upward = statistics(flows)
     simulator = Simulator(settings, normalisation)
     *_, bias = simulator.network.decoder.parameters()
-    bias.data[: settings.dimension] = mean
+    bias.data[1] = upward
     return simulator
 
 

@@ -315,13 +315,13 @@ def reflected(sample: SampleBatch, axis: int | None) -> SampleBatch:
     return replace(sample, state=state, conditions=conditions, targets=points(sample.targets))
 
 
-def statistics(datasets: Sequence[Sequence[Flow]]) -> tuple[Normalisation, Tensor]:
-    """Normalisation constants, and the mean of the accelerations without gravity's over their scale, shape [D]; over
-    random times at which the flows move, always the same times.
+def statistics(datasets: Sequence[Sequence[Flow]]) -> tuple[Normalisation, float]:
+    """Normalisation constants, and the mean upward acceleration without gravity's over its scale [-]; over random times
+    at which the flows move, always the same times. Along level axes the mean is 0, for samples are mirrored.
 
     Of each flow as many times are read as make `SAMPLED_TIMES` in all, at least two.
     """
-    squares, total, count, friction = np.zeros(2), np.zeros(datasets[0][0].positions.shape[2]), 0, []
+    squares, upward, count, size, friction = np.zeros(2), 0.0, 0, 0, []
     share = max(2, -(-SAMPLED_TIMES // sum(map(len, datasets))))
     rng = np.random.default_rng(0)
     for flow in (flow for flows in datasets for flow in flows):
@@ -331,14 +331,13 @@ def statistics(datasets: Sequence[Sequence[Flow]]) -> tuple[Normalisation, Tenso
         for time in filter(flow.moves, rng.choice(times, min(share, times), replace=False)):
             moved, then = np.diff(flow.positions[time : time + 3], axis=0) / flow.units.length
             squares += [np.square(change, dtype=np.float64).sum() for change in (moved, then - moved - fall)]
-            total += (then - moved - fall).sum(axis=0, dtype=np.float64)
-            count += len(moved)
-    displacement, acceleration = np.sqrt(squares / max(count * len(total), 1)).tolist()
-    mean = total / max(count, 1) / (acceleration or 1.0)
+            upward += float((then - moved - fall)[:, 1].sum(dtype=np.float64))
+            count, size = count + len(moved), size + moved.size
+    displacement, acceleration = np.sqrt(squares / max(size, 1)).tolist()
     normalisation = Normalisation(
         displacement_scale=displacement or 1.0,
         acceleration_scale=acceleration or 1.0,
         friction_mean=float(np.mean(friction)),
         friction_std=float(np.std(friction)) or 1.0,
     )
-    return normalisation, torch.from_numpy(mean).float()
+    return normalisation, upward / max(count, 1) / (acceleration or 1.0)

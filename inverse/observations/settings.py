@@ -101,7 +101,7 @@ class ObservationSettings(Record):
     def warn_of_noise(self, values: Values, span: float) -> None:
         """One UserWarning for a noise that looks like a percentage without its sign; span: range of possible values."""
         noise, largest = Noise.stated(self.noise).deviation, float(np.nanmax(np.abs(values)))
-        if noise > span or noise >= max(1.0, largest):
+        if noise > span or max(1.0, largest) <= noise < 100.0:
             than = f"the range of what is possible, {span:g}" if noise > span else f"every number, at most {largest:g}"
             said = f"a noise of {noise:g} is more than {than}"
             warnings.warn(f'{self.name or self.kind}: {said}; a percentage is written "{noise:g}%"', stacklevel=3)

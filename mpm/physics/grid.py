@@ -45,6 +45,8 @@ def update_grid(worker, scene, dt, kappa, arrays: ti.template()):
         column = arrays.spans[first + n, Span.ACTIVE] - first
         i, k = column // deep, column % deep
         alone, low = has_alone(column, worker, arrays), arrays.spans[first + column, Span.LOW]
+        if ti.static(arrays.features.wet):
+            arrays.spans[first + column, Span.ALONE] = 1 if alone else 0
         bed = bed_under(index_of([i, low, k], arrays), scene, arrays)
         for j in range(low, arrays.spans[first + column, Span.HIGH]):
             if alone or owns(column, j, worker, arrays):

@@ -12,7 +12,7 @@ from mpm.arrays.access import columns_deep, synchronise, workers_of
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Beside, Face, Offset, Pore, Setting, Span, Worker
 from mpm.physics.boundary import is_wall
-from mpm.physics.grid import has_alone, has_node, own_node, owner_of, owns
+from mpm.physics.grid import has_node, own_node, owner_of, owns
 
 FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12
 """Sweeps: so many, more by the coefficient of the Laplacian over dx^2, at most."""
@@ -71,8 +71,7 @@ def list_cells(worker, scene, arrays: ti.template()):
     end = first + arrays.workers[worker, Worker.USED]
     for n in range(arrays.workers[worker, Worker.ACTIVE]):
         column = arrays.spans[table + n, Span.ACTIVE] - table
-        alone = has_alone(column, worker, arrays)
-        arrays.spans[table + column, Span.ALONE] = 1 if alone else 0
+        alone = arrays.spans[table + column, Span.ALONE] == 1
         for j in range(arrays.spans[table + column, Span.LOW], arrays.spans[table + column, Span.HIGH]):
             if alone or owns(column, j, worker, arrays):
                 cell = own_node(column, j, worker, arrays)

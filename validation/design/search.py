@@ -82,9 +82,8 @@ class Checked:
         """
         if self.exceeding + self.moving <= self.problem.allowed:
             return Verdict.CONFIRMED
-        if self.exceeding <= self.problem.allowed:
-            return Verdict.UNCONFIRMED
-        return Verdict.UNCONFIRMED if self.expected >= self.problem.limit.probability else Verdict.UNREACHABLE
+        hopeful = self.exceeding <= self.problem.allowed or self.expected >= self.problem.limit.probability
+        return Verdict.UNCONFIRMED if hopeful else Verdict.UNREACHABLE
 
 
 @dataclass(frozen=True, kw_only=True)
