@@ -24,6 +24,8 @@ MOST_BODIES = 4096
 """Masses, baffles and solids: each pair of them is compared."""
 TALL, STEEPEST = 2.0, 10.0
 """Thickness of a layer over its length, and Coulomb coefficient, that look like another unit's."""
+ROUGHEST = 20.0
+"""Turbulent coefficient [m/s^2] below which no published one lies (Voellmy's xi: 100 to 8000 m/s^2)."""
 LOST = 1.0e-6
 """Share of a layer that rounding may put beyond a side of the box."""
 SMALL_ANGLE = 3.0
@@ -340,6 +342,11 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
         if STEEPEST < steep < 90.0:
             angle = f"of an angle of {steep:g} degrees it is {math.tan(math.radians(steep)):.3g}"
             warnings.warn(f"{key}: a friction of {steep:g} is a Coulomb coefficient; {angle}", stacklevel=3)
+    for key, solid in keyed(scene, "solids").items():
+        brakes = solid.turbulence[0] if isinstance(solid.turbulence, tuple) else solid.turbulence
+        if brakes is not None and (least := float(np.min(brakes))) < ROUGHEST:
+            usual = "of snow and debris it is between 100 and 8000 m/s^2, and less brakes more"
+            warnings.warn(f"{key}: a turbulence of {least:g} m/s^2 stops nearly any flow; {usual}", stacklevel=3)
     of_masses = {f"{key}.material": mass.material for key, mass in keyed(scene, "masses").items() if mass.material}
     for key, material in {"material": scene.material, **of_masses}.items():
         lines = []

@@ -247,9 +247,14 @@ class PorePressure(SmoothObservation):
             length = scene.domain.size["xyz".index(key)]
             held = bool(((places >= 0.0) & (places <= length)).all())
             require(held, key, f"lengths between 0 and {length:g} m", places.tolist())
-        if y is None:
-            plan = np.stack([columns[key] for key in "xz" if key in columns], axis=1)
-            columns["y"] = elevation(scene.solids, scene.domain, plan)
+        ground = elevation(
+            scene.solids, scene.domain, np.stack([columns[key] for key in "xz" if key in columns], axis=1)
+        )
+        columns.setdefault("y", ground)
+        deepest = int(np.argmin(columns["y"] - ground))
+        above = columns["y"][deepest] >= ground[deepest] - scene.domain.cell
+        expected = f"elevations above the ground, at {ground[deepest]:.4g} m for gauge {deepest}"
+        require(above, "y", expected, f"{columns['y'][deepest]:.4g}")
         places = np.stack([columns[key] for key in "xyz" if key in columns], axis=1)
         gauges, self.times = read_at(places, np.array(times), count)
         self.gauges, self.which = np.unique(gauges, axis=0, return_inverse=True)

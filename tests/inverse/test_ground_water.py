@@ -68,6 +68,8 @@ def test_gauges_stand_on_terrain_and_in_tables(tmp_path: Path) -> None:
     scene = dataclasses.replace(flow.scene, solids=(bed,), masses=(raised,))
     gauge = PorePressureSettings(x=(0.04,), times=(0.0,)).operator(scene)
     assert gauge.observe(flow) == pytest.approx(0.7 * SOIL * GRAVITY * 0.3, rel=2.0e-3)
+    buried = PorePressureSettings(x=(0.04,), y=(0.05,), times=(0.0,))
+    assert refused(buried.operator, scene, said="above the ground, at 0.1 m for gauge 0").key == "y"
     (tmp_path / "gauge.csv").write_text("time,pressure\n0.1,4000\n0.2,3500\n")
     target = PorePressureSettings(x=(0.04,), noise="5%", csv="gauge.csv").read(flow.scene, tmp_path, None)
     assert target.values == pytest.approx([4000.0, 3500.0])

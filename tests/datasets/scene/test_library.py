@@ -129,13 +129,15 @@ def test_terrain_below_the_floor_is_warned_of(end: float, falls: float) -> None:
     assert [str(each.message).split(", of floor")[0] for each in said] == [line] * bool(falls)
 
 
-def test_a_friction_in_degrees_and_a_layer_in_centimetres_are_warned_of() -> None:
+def test_a_friction_in_degrees_a_layer_in_centimetres_and_a_turbulence_in_another_unit_are_warned_of() -> None:
     layer, ground = Mass(kind="layer", thickness=5.0, outline=((0.2,), (0.8,))), ((0.0, 0.1), (1.0, 0.1))
-    steep = Solid(kind="terrain", points=ground, friction=(25.0, 20.0))
+    steep = Solid(kind="terrain", points=ground, friction=(25.0, 20.0), turbulence=2.0)
     scene = scene_of(layer, size=(1.0, 6.0), cell=0.05, solids=(steep,), floor_friction=10.0)
-    with pytest.warns(UserWarning, match=r"thickness|friction") as said:
+    with pytest.warns(UserWarning, match=r"thickness|friction|turbulence") as said:
         warn_if_unlikely(scene)
     assert [str(warning.message) for warning in said] == [
         "masses[0].thickness: 5 m is 8.3 times the length of the layer; in cm it would be 0.05 m",
         "solids[0]: a friction of 25 is a Coulomb coefficient; of an angle of 25 degrees it is 0.466",
+        "solids[0]: a turbulence of 2 m/s^2 stops nearly any flow; "
+        "of snow and debris it is between 100 and 8000 m/s^2, and less brakes more",
     ]
