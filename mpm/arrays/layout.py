@@ -210,8 +210,9 @@ class Pore(IntEnum):
     CHANGE = 8  # of the pressure in a step [Pa]
     SOURCE = 9  # of it, explicit in time [Pa]
     SHARE = 10  # of the cell that is full [-]
-    PER_DIAGONAL = 11  # 1 over the diagonal of the system [-]
+    DIAGONAL = 11  # of the Laplacian in the system [-]
     SLOPE_X, SLOPE_Y, SLOPE_Z = 12, 13, 14  # of the pressure [Pa per cell]
+    FELT = 15  # change of what presses, the pressure down to the suction that it bears [Pa]
 
 
 class Beside(IntEnum):

@@ -236,16 +236,24 @@ def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.templat
             given[Pore.SLOPE_X + axis - NODE] = rise / run
     source = diffusion * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
     given[Pore.CHANGE - NODE], given[Pore.SOURCE - NODE] = source / full, source
-    given[Pore.SHARE - NODE], given[Pore.PER_DIAGONAL - NODE] = full, 1.0 / (full + diagonal)
+    given[Pore.SHARE - NODE], given[Pore.DIAGONAL - NODE] = full, diagonal
+    least = 0.0 - sums[Pore.SUCTION]
+    given[Pore.FELT - NODE] = ti.max(pressure + source / full, least) - ti.max(pressure, least)
     arrays.cells[2 * cell + 1] = given
 
 
 @ti.func
 def relax_cell(cell, stiffness, arrays: ti.template()):
-    """One step of Gauss and Seidel for the change of the pressure in a cell."""
-    given = arrays.cells[2 * cell + 1]
+    """One step of projected Gauss and Seidel for the change of the pressure in a cell and of what presses of it."""
+    given, sums = arrays.cells[2 * cell + 1], arrays.cells[2 * cell]
     total = 0.0 * stiffness
     for face in ti.static(range(2 * arrays.features.dimension)):
-        total += number(arrays.cells, arrays.beside[cell, face], Pore.CHANGE)
-    total = (given[Pore.SOURCE - NODE] + stiffness * total) * given[Pore.PER_DIAGONAL - NODE]
-    arrays.cells[2 * cell + 1][Pore.CHANGE - NODE] = total
+        total += number(arrays.cells, arrays.beside[cell, face], Pore.FELT)
+    total = given[Pore.SOURCE - NODE] + stiffness * total
+    full, diagonal = given[Pore.SHARE - NODE], given[Pore.DIAGONAL - NODE]
+    pressure, least = sums[Pore.PRESSURE], 0.0 - sums[Pore.SUCTION]
+    before = ti.max(pressure, least)
+    pressing = (full * pressure + diagonal * before + total) / (full + diagonal)
+    felt = ti.max(pressing, least) - before
+    arrays.cells[2 * cell + 1][Pore.FELT - NODE] = felt
+    arrays.cells[2 * cell + 1][Pore.CHANGE - NODE] = (total - diagonal * felt) / full

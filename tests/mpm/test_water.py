@@ -285,12 +285,16 @@ def test_a_sheet_stops_once_its_water_has_drained() -> None:
 
 
 @pytest.mark.slow
-def test_the_moduli_of_water_and_grains_are_numerical(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measured are 0 and 7 %; a difference of two such means has a standard error of 2 %."""
+def test_moduli_step_and_cell_are_numerical(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of very wet columns; a difference of two such means has a standard error of 2 to 3 %."""
     usual = front(0.8, seeds=5)
     assert front(0.8, seeds=5, young=2.0e6) == pytest.approx(usual, rel=0.06)
+    assert front(0.8, seeds=5, step_fraction=0.2) == pytest.approx(usual, rel=0.07)
+    assert front(0.8, seeds=3, cell=0.005) == pytest.approx(usual, rel=0.09)
+    # Ten cells are few for a tip that is thinner than one.
+    assert front(0.8, seeds=5, cell=0.02) == pytest.approx(usual, rel=0.17)
     monkeypatch.setattr(water, "STIFFER", 80.0)
-    assert front(0.8, seeds=5) == pytest.approx(usual, rel=0.13)
+    assert front(0.8, seeds=5) == pytest.approx(usual, rel=0.06)
 
 
 def column(
@@ -319,10 +323,10 @@ def test_columns_run_farther_the_more_water_bears() -> None:
     dry, *fronts = [front(ratio) for ratio in (None, 0.2, 0.5, 0.8, 1.0)]
     assert fronts == sorted(fronts)
     # Grains keep the stress in which they shear, without drainage: a column that thins is then stronger than dry sand.
-    assert fronts[0] == pytest.approx(dry, rel=0.05)
+    assert fronts[0] == pytest.approx(dry, rel=0.1)
     assert fronts[-1] > 1.7 * dry
     assert front(0.5, cell=0.02) == pytest.approx(fronts[1], rel=0.08)
-    assert front(0.5, step_fraction=0.2) == pytest.approx(fronts[1], rel=0.12)
+    assert front(0.5, step_fraction=0.2) == pytest.approx(fronts[1], rel=0.08)
 
 
 @pytest.mark.parametrize("bed", [False, pytest.param(True, marks=pytest.mark.slow)])
