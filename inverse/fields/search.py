@@ -5,7 +5,7 @@ Symbols are those of `inverse.fields.inversion`.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -144,12 +144,12 @@ class Objective:
             G <- G + k e dw^T / |dw|^2,    e = L^-1 dF - G dw,    k = max(0, 1 - E|n|^2 / |e|^2)
 
         k, James and Stein's shrinkage, leaves out what the scatter n of two runs explains. scatter: C [M, M];
-        posterior: its combinations are those of this objective.
+        posterior: its combinations are those of this objective. The widths are those of `doubted` derivatives.
         """
         jacobian = np.linalg.solve(self.change.T, posterior.jacobian)
         whitened = self.rows @ self.whitened(self.whitened(scatter).T).T
         noise = 2.0 * float((whitened * self.rows).sum())
-        white, step = posterior.mean, 1.0
+        white, step, wrong = posterior.mean, 1.0, list[float]()
         self.iterates.append(self.iterate(white, numbers, 0.0))
         lowest = self.iterates[0]["objective"]
         while True:
@@ -157,17 +157,35 @@ class Objective:
             proposed = linear_mean(jacobian, white, residual)
             promised = gain(jacobian, residual, white, proposed - white)
             if promised < CONVERGED or len(self.iterates) > runs:
-                return Gaussian(white, jacobian, promised, posterior.combinations)
+                doubt = float(np.mean(wrong or 0.0))
+                return doubted(Gaussian(white, jacobian, promised, posterior.combinations), doubt)
             moved = step * (proposed - white)
             shown, iterate = self.evaluated(white + moved, step)
             self.iterates.append(iterate)
             missed = self.rows @ self.whitened(shown - numbers) - jacobian @ moved
             share = max(0.0, 1.0 - noise / float(missed @ missed))
             jacobian = jacobian + share * np.outer(missed, moved) / float(moved @ moved)
+            wrong.append(share * float(missed @ missed) / float(moved @ moved))
             if iterate["objective"] < lowest:
                 white, numbers, lowest = white + moved, shown, iterate["objective"]
             else:
                 step *= 0.5
+
+
+def doubted(posterior: Gaussian, wrong: float) -> Gaussian:
+    """A posterior whose derivatives are off by errors E with E|E dw|^2 = `wrong` |dw|^2, as its steps have shown.
+
+    Derivatives are wrong as they are large: an error of all of G by the same part, in rows and columns that chance
+    mixes. At a truth that the posterior leaves, E(w_t - w) is then an error of the combination U_k^T beside its own, 1:
+
+        s_k^2 <- s_k^2 / (1 + wrong tr(cov w) s_k^2 / sum s^2)
+
+    So along no direction is more known than the directions of the derivatives are.
+    """
+    left, values, rest = np.linalg.svd(posterior.jacobian, full_matrices=False)
+    spread = len(posterior.mean) - float((posterior.removed**2).sum())
+    share = values**2 / max(float(values @ values), np.finfo(np.float64).tiny)
+    return replace(posterior, jacobian=left * (values / np.sqrt(1.0 + wrong * spread * share)) @ rest)
 
 
 def linear_mean(jacobian: Floats, white: Floats, residual: Floats) -> Floats:
