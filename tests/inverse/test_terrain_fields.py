@@ -3,8 +3,8 @@ the correction of a surrogate's derivatives by runs.
 """
 
 import dataclasses
-import math
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -247,7 +247,7 @@ def test_runs_correct_the_derivatives_of_a_surrogate(rank: int) -> None:
 
 @pytest.mark.parametrize(("wrong", "least"), [(0.0, 0.88), (0.4, 0.8), (0.8, 0.8)])
 def test_widths_hold_the_truth_where_derivatives_are_wrong(wrong: float, least: float) -> None:
-    """Along the directions that a survey tells more of than the prior; by the corrected derivatives alone 0.70, 0.49."""
+    """Along what a survey tells more of than the prior does; by the corrected derivatives alone 0.70 and 0.49."""
     held = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
