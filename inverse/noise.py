@@ -80,6 +80,28 @@ class Scatter:
         prior = np.maximum(level, FLOOR) * self.expected**2
         return np.asarray((square + PRIOR_FREEDOM * prior) / (self.freedom + PRIOR_FREEDOM))
 
+    @property
+    def covariance(self) -> Floats:
+        """The covariance [M, M] of numbers with this variance, correlated as in runs at one point.
+
+            C = D^(1/2) [(1 - q) c + q I] D^(1/2)
+
+        c is the sample correlation and q the share that minimises the expected error of a Gaussian sample towards the
+        identity (oracle approximating shrinkage: Chen, Wiesel, Eldar & Hero, IEEE Trans. Signal Process. 58 (2010)
+        5016-5029, eq. 23).
+        """
+        count, size = self.deviations.shape
+        square = (self.deviations**2).sum(axis=0) / self.freedom
+        scaled = self.deviations / np.sqrt(np.maximum(square, FLOOR * max(float(square.max()), 1e-12)))
+        correlation = scaled.T @ scaled / self.freedom
+        squares, trace = float((correlation**2).sum()), float(np.trace(correlation))
+        top = (1.0 - 2.0 / size) * squares + trace**2
+        bottom = (count + 1.0 - 2.0 / size) * (squares - trace**2 / size)
+        share = 1.0 if bottom <= 0.0 else min(1.0, top / bottom)
+        correlation *= 1.0 - share
+        np.fill_diagonal(correlation, 1.0)
+        return np.asarray(correlation * np.sqrt(np.outer(self.variance, self.variance)))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
@@ -228,24 +250,3 @@ def outlying(residual: Floats, covariance: Floats) -> dict[int, float]:
         outliers[int(left[worst])] = float(off[worst])
         left = np.delete(left, worst)
     return dict(sorted(outliers.items()))
-
-
-def shrunk(sample: Floats) -> Floats:
-    """Covariance [M, M] of numbers that scatter, of few flows [n, M], shrunk towards its diagonal.
-
-    C = D^(1/2) [(1 - q) c + q I] D^(1/2), c the sample correlation and q the share that minimises the expected error
-    of a Gaussian sample towards the identity (oracle approximating shrinkage: Chen, Wiesel, Eldar & Hero, IEEE Trans.
-    Signal Process. 58 (2010) 5016-5029, eq. 23).
-    """
-    count, size = sample.shape
-    variance = sample.var(axis=0, ddof=1)
-    variance = np.maximum(variance, FLOOR * max(float(variance.max()), 1e-12))
-    centred = (sample - sample.mean(axis=0)) / np.sqrt(variance)
-    correlation = centred.T @ centred / (count - 1)
-    square, trace = float((correlation**2).sum()), float(np.trace(correlation))
-    top = (1.0 - 2.0 / size) * square + trace**2
-    bottom = (count + 1.0 - 2.0 / size) * (square - trace**2 / size)
-    share = 1.0 if bottom <= 0.0 else min(1.0, top / bottom)
-    correlation = (1.0 - share) * correlation + share * np.eye(size)
-    np.fill_diagonal(correlation, 1.0)
-    return np.asarray(correlation * np.sqrt(np.outer(variance, variance)))

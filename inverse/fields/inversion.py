@@ -39,7 +39,7 @@ from inverse.fields.flow import WhiteFlow
 from inverse.fields.posterior import FieldPosterior
 from inverse.fields.search import Gaussian, Objective
 from inverse.fields.surrogate import SurrogateFlow, leading
-from inverse.noise import Scatter, fit, shrunk
+from inverse.noise import Scatter, fit
 from inverse.observations.target import Target
 from inverse.parameters.field import BAND
 from inverse.problem import Problem
@@ -154,9 +154,7 @@ def checked(flow: WhiteFlow, target: Target, outcome: Found) -> Answer:
         for number, run in enumerate(flow.simulated([posterior.mean] * len(seeds), seeds))
     )
     numbers = np.stack([run.numbers for run in checks])
-    together = outcome.runs if len(checks) == 1 else numbers
-    expected = target.observation.prior_scatter(target.values)
-    scatter = Scatter(deviations=together - together.mean(axis=0), freedom=len(together) - 1, expected=expected)
+    scatter = scatter_of(outcome.runs if len(checks) == 1 else numbers, target)
     return Answer(
         parameters=values,
         interval=problem.box.at(np.stack(ends[::-1])),
@@ -174,7 +172,8 @@ def searched(flow: WhiteFlow, target: Target, errors: Floats, start: Floats) -> 
     draws = flow.observe(list(rng.standard_normal((len(runs), flow.size))), [seed] * len(runs))
 
     def objective(runs: Floats, seeds: Sequence[int]) -> Objective:
-        return Objective(flow, target.values, errors + (1.0 + 1.0 / len(seeds)) * shrunk(runs), seeds, draws=draws)
+        scatter = (1.0 + 1.0 / len(seeds)) * scatter_of(runs, target).covariance
+        return Objective(flow, target.values, errors + scatter, seeds, draws=draws)
 
     first = objective(runs, problem.seeds[:FIRST_SEEDS])
     nearest = first.minimise(start, iterations, FIRST_CONVERGED)
@@ -183,6 +182,12 @@ def searched(flow: WhiteFlow, target: Target, errors: Floats, start: Floats) -> 
     second = objective(runs, problem.seeds)
     posterior = second.minimise(nearest.mean, iterations)
     return Found(posterior, runs, [*first.iterates, *second.iterates], 1, {})
+
+
+def scatter_of(runs: Floats, target: Target) -> Scatter:
+    """That of runs [n, M] at one point, which differ in their jitter seed."""
+    expected = target.observation.prior_scatter(target.values)
+    return Scatter(deviations=runs - runs.mean(axis=0), freedom=len(runs) - 1, expected=expected)
 
 
 def alone(flow: WhiteFlow, target: Target, start: Floats) -> Found:
@@ -199,7 +204,7 @@ def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
     outcome = searched(lead, target, target.errors.matrix + error.T @ error, start)
     seconds, posterior = time.perf_counter() - began, outcome.posterior
     # Two flows of the MPM at the answer say how much its own scatter is of the surrogate's, whose shape it has.
-    seeds, shape = [flow.problem.scene.seed, flow.problem.scatter_seeds[0]], shrunk(outcome.runs)
+    seeds, shape = [flow.problem.scene.seed, flow.problem.scatter_seeds[0]], scatter_of(outcome.runs, target).covariance
     pair = flow.observe([posterior.mean] * 2, seeds)
     scatter = 0.5 * float(((pair[0] - pair[1]) ** 2).sum()) / float(np.trace(shape)) * shape
     # The MPM has no error of a surrogate.

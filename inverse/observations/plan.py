@@ -212,9 +212,8 @@ class ThicknessSettings(ObservationSettings):
         cells = np.flatnonzero((apart <= reach).ravel() & np.isfinite(values))
         shown = values[cells]
         self.warn_of_noise(shown, scene.domain.size[1])
-        # Bare ground among bare ground is known to be bare.
-        edge = binary_dilation(covered, np.ones((3, 3))).ravel()[cells]
-        deviation = np.where(edge, Noise.stated(self.noise).of(shown), 0.0)
+        # A deposit thinner than the noise would not have been seen on bare ground.
+        deviation = Noise.stated(self.noise).of(np.where(shown > 0.0, shown, shown[shown > 0.0].mean()))
         errors = Covariance.correlated(deviation, grid.positions[cells], self.length)
         return Target(observation=self.over(scene, grid, cells), values=shown, errors=errors)
 
