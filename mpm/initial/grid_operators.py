@@ -131,7 +131,7 @@ class ContactOperator:
         length = np.linalg.norm(sums[:, :-2], axis=1)
         self.normals = np.divide(sums[:, :-2], length[:, None], out=self.normals, where=length[:, None] > 0.0)
         self.frictions = sums[:, -2] / np.maximum(sums[:, -1], 1.0)
-        return of_nodes(held(directions, holds[:, 2])) + held(normals, share) >= 0.5 - 1.0e-9
+        return of_nodes(held(directions, holds[:, 2])) + held(normals, share) >= 1.0 - 1.0e-9
 
     def diagonal(self, lame: Floats, shear: Floats) -> Floats:
         """Diagonal of its part of the stiffness [N/m], [n, D]; theta lambda and theta mu_s of all particles, [N]."""
