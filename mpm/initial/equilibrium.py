@@ -217,10 +217,12 @@ class Equilibrium:
         along = np.where(self.free | (self.walls != 0) | self.behind_barriers, 0.0, force)[:, self.level]
         shear = np.linalg.norm(along, axis=1)
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
-        # Solids hold nodes altogether; along all faces they bear no more than friction, in the sum: single nodes pull.
+        # Oblique faces hold nodes altogether; along all faces solids bear no more than friction, in the sum: single
+        # nodes pull.
         borne = np.where(self.in_solids & ~held, force, 0.0)
         across = (borne * self.contact.normals).sum(axis=1)
-        along = np.linalg.norm(borne - across[:, None] * self.contact.normals, axis=1)
+        beside = borne - across[:, None] * self.contact.normals
+        along = np.linalg.norm(np.where(self.contact.across_axes, 0.0, beside), axis=1)
         slides = max(float(along.sum() - self.contact.frictions @ np.maximum(-across, 0.0)), 0.0)
         missing = float(loose + pulled + slips + slides) / self.weight
         if missing > UNBALANCED:

@@ -22,6 +22,9 @@ from mpm.solids.obstacles import bed_holds_at, holds_at, initial_contacts
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+HELD, HALF = 1.0 - 1.0e-9, 0.5 - 1.0e-9
+"""Shares from which on solids hold a node whole, and by half."""
+
 
 def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, Integers]:
     """Weights w_ip, shape [N, n]; slopes (4 / dx^2) w_ip x_ip of one axis after the other, [D N, n]; nodes, [n, D].
@@ -73,6 +76,8 @@ class ContactOperator:
         """Shear traction q [Pa], shape [M, D]."""
         self.normals, self.frictions = np.zeros((weights.shape[1], dimension)), np.zeros(weights.shape[1])
         """Of the solids that hold nodes, shapes [n, D] and [n]; `fixed_components` finds them."""
+        self.across_axes = np.zeros((weights.shape[1], dimension), bool)
+        """Which components of nodes faces across an axis hold, [n, D]; it finds these, too."""
 
     def gradient(self, displacements: Floats) -> Floats:
         """What contact adds to the displacement gradient [-], [M, 3, 3], by nodal displacements [m], shape [n, D]."""
@@ -109,29 +114,40 @@ class ContactOperator:
         return np.asarray(scale[:, None] * traction)
 
     def fixed_components(self, scene: Scene, nodes: Integers) -> NDArray[np.bool_]:
-        """Which components of `nodes`, indices of shape [n, D], solids hold by half, shape [n, D]: across faces along
-        an axis that component; else all, for such a node lies deep and is in the support of the first row alone.
+        """Which components of `nodes`, indices of shape [n, D], solids hold, shape [n, D].
+
+        Across faces along an axis that component, where they hold it whole: held in part, it gives way in the run until
+        its particles bear it. Behind oblique faces all, from half on, for such a node lies deep and is in the support
+        of the first row alone; on them a body may slide as well, and what friction does not bear is left there.
         """
         solid = contact_surface_of(scene)
         if solid is None:
             return np.zeros(nodes.shape, bool)
         window, first, holds, directions = holds_at(scene, solid, nodes)
         node, (share, normals, frictions) = window.numbers(nodes), bed_holds_at(scene, solid, nodes)
+        size = nodes.shape[1]
 
-        def held(normal: Floats, share: Floats) -> Floats:
+        def across(normal: Floats) -> Floats:
             along = np.abs(normal).max(axis=1, initial=0.0, keepdims=True) > 1.0 - 1.0e-9
-            return np.asarray(np.where(along, np.abs(normal) > 0.5, True) * share[:, None])
+            return np.asarray(np.where(along, np.abs(normal) > 0.5, 0.0))
+
+        def described(normal: Floats, friction: Floats) -> Floats:
+            axes, ones = across(normal), np.ones((len(normal), 1))
+            oblique = 1.0 - axes.max(axis=1, initial=0.0, keepdims=True)
+            return np.concatenate([axes, oblique, normal, friction[:, None], ones], axis=1)
 
         def of_nodes(values: Floats) -> Floats:
             total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
             return np.asarray(total[first[node + 1]] - total[first[node]])
 
-        sums = of_nodes(holds[:, [2]] * np.column_stack([directions, holds[:, 1], np.ones(len(holds))]))
-        sums += share[:, None] * np.column_stack([normals, frictions, np.ones(len(nodes))])
-        length = np.linalg.norm(sums[:, :-2], axis=1)
-        self.normals = np.divide(sums[:, :-2], length[:, None], out=self.normals, where=length[:, None] > 0.0)
-        self.frictions = sums[:, -2] / np.maximum(sums[:, -1], 1.0)
-        return of_nodes(held(directions, holds[:, 2])) + held(normals, share) >= 0.5 - 1.0e-9
+        sums = of_nodes(holds[:, [2]] * described(directions, holds[:, 1]))
+        sums += share[:, None] * described(normals, frictions)
+        axes, oblique, normal, friction, ones = np.split(sums, np.cumsum([size, 1, size, 1]), axis=1)
+        length = np.linalg.norm(normal, axis=1)[:, None]
+        self.normals = np.divide(normal, length, out=self.normals, where=length > 0.0)
+        self.frictions = friction[:, 0] / np.maximum(ones[:, 0], 1.0)
+        self.across_axes = axes >= HELD
+        return np.asarray(axes + oblique >= np.where(oblique > axes, HALF, HELD))
 
     def diagonal(self, lame: Floats, shear: Floats) -> Floats:
         """Diagonal of its part of the stiffness [N/m], [n, D]; theta lambda and theta mu_s of all particles, [N]."""

@@ -242,6 +242,47 @@ def test_a_bed_presses_on_a_baffle_with_its_ratio_up_to_the_limits_of_yield(
     assert np.abs(flow.positions - flow.positions[0]).max() < 1.0e-4
 
 
+TENTHS = [round(0.1 * tenth, 1) for tenth in range(10)]
+
+
+@pytest.mark.filterwarnings("ignore:no initial stress within the yield surface balances gravity")
+@pytest.mark.parametrize(
+    ("dimension", "foot", "shift"),
+    [
+        (2, 0.3, 0.0),
+        (2, None, 0.6),
+        *(pytest.param(2, foot, 0.0, marks=pytest.mark.slow) for foot in TENTHS if foot != 0.3),
+        *(pytest.param(2, None, shift, marks=pytest.mark.slow) for shift in TENTHS if shift != 0.6),
+        *(pytest.param(3, foot, 0.0, marks=pytest.mark.slow) for foot in TENTHS),
+    ],
+)
+def test_a_bed_at_rest_presses_on_a_baffle_alike_wherever_solids_cut_the_cells(
+    dimension: int, foot: float | None, shift: float
+) -> None:
+    """Within 2 % and at rest: 0.95 and 0.98 before, for nodes that solids hold in part gave way to the bed.
+
+    foot: height of a level terrain above a row of nodes [cells]; None: the floor of the box. shift: of the face of the
+    baffle [cells].
+    """
+    cell, near, deep = 0.025, (0.0,) * (dimension - 2), (0.1,) * (dimension - 2)
+    low, face = 0.0 if foot is None else 0.1 + foot * cell, 0.6 + shift * cell
+    across = {"points": ((0.0, low), (0.8, low))}
+    plan = {"origin": (0.0, 0.0), "spacing": (0.1, 0.1), "heights": ((low, low),) * 9}
+    ground = Solid(kind="terrain", friction=0.4, **(across if dimension == 2 else plan))
+    scene = scene_of(
+        Mass(lower=(0.0, low, *near), size=(face, 0.3, *deep), k0=0.5),
+        size=(0.8, 0.6, *deep),
+        cell=cell,
+        baffles=(Baffle(lower=(face, low, *near), size=(0.1, 0.4, *deep)),),
+        solids=() if foot is None else (ground,),
+        floor_friction=0.4,
+        duration=0.2 if dimension == 2 else 0.1,
+    )
+    flow = simulate(scene, threads=1)
+    assert thrust_ratio(flow) / np.prod(deep) == pytest.approx(0.5, rel=0.02)
+    assert np.abs(flow.positions - flow.positions[0]).max() < 1.0e-4
+
+
 def test_a_layer_on_a_slope_is_as_stiff_as_it_is_thick() -> None:
     """10 rho g h of 1.5 m of snow are 29 kPa, whatever the slope under it falls."""
     snow = Material(friction_deg=21.0, density=200.0, young=2.0e6)
