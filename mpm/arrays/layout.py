@@ -210,7 +210,7 @@ class Pore(IntEnum):
     CHANGE = 8  # of the pressure in a step [Pa]
     SOURCE = 9  # of it, explicit in time [Pa]
     SHARE = 10  # of the cell that is full [-]
-    DIAGONAL = 11  # of the Laplacian in the system [-]
+    PER_DIAGONAL = 11  # 1 over the diagonal of the system [-]
     SLOPE_X, SLOPE_Y, SLOPE_Z = 12, 13, 14  # of the pressure [Pa per cell]
     FELT = 15  # change of what presses, the pressure down to the suction that it bears [Pa]
 

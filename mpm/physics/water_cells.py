@@ -236,7 +236,7 @@ def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.templat
             given[Pore.SLOPE_X + axis - NODE] = rise / run
     source = diffusion * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
     given[Pore.CHANGE - NODE], given[Pore.SOURCE - NODE] = source / full, source
-    given[Pore.SHARE - NODE], given[Pore.DIAGONAL - NODE] = full, diagonal
+    given[Pore.SHARE - NODE], given[Pore.PER_DIAGONAL - NODE] = full, 1.0 / (full + diagonal)
     least = 0.0 - sums[Pore.SUCTION]
     given[Pore.FELT - NODE] = ti.max(pressure + source / full, least) - ti.max(pressure, least)
     arrays.cells[2 * cell + 1] = given
@@ -250,10 +250,13 @@ def relax_cell(cell, stiffness, arrays: ti.template()):
     for face in ti.static(range(2 * arrays.features.dimension)):
         total += number(arrays.cells, arrays.beside[cell, face], Pore.FELT)
     total = given[Pore.SOURCE - NODE] + stiffness * total
-    full, diagonal = given[Pore.SHARE - NODE], given[Pore.DIAGONAL - NODE]
+    full, per_diagonal = given[Pore.SHARE - NODE], given[Pore.PER_DIAGONAL - NODE]
     pressure, least = sums[Pore.PRESSURE], 0.0 - sums[Pore.SUCTION]
     before = ti.max(pressure, least)
-    pressing = (full * pressure + diagonal * before + total) / (full + diagonal)
-    felt = ti.max(pressing, least) - before
+    felt = ti.max((full * (pressure - before) + total) * per_diagonal, least - before)
+    change = before + felt - pressure
+    if before + felt <= least:
+        # Open: what its neighbours press on it has opened it further.
+        change = felt + (total - felt / per_diagonal) / full
     arrays.cells[2 * cell + 1][Pore.FELT - NODE] = felt
-    arrays.cells[2 * cell + 1][Pore.CHANGE - NODE] = (total - diagonal * felt) / full
+    arrays.cells[2 * cell + 1][Pore.CHANGE - NODE] = change
