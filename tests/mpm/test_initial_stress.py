@@ -225,15 +225,10 @@ def test_a_thrust_that_no_stress_has_is_said() -> None:
         warn_of_ratio(scene, particles, lacking)
 
 
-@pytest.mark.parametrize(
-    ("k0", "face", "dimension"),
-    [(2.9, 0.6, 2), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.34, 0.6125, 2), (0.36, 0.6, 3)))],
-)
-def test_a_bed_presses_on_a_baffle_with_its_ratio_up_to_the_limits_of_yield(
-    k0: float, face: float, dimension: int
-) -> None:
-    """From K_a = 1/3 to K_p = 3, and nothing moves: before, 0.34 gave 0.40 and 2.9 gave 2.6. face: x of the baffle."""
-    near, deep = (0.0,) * (dimension - 2), (0.1,) * (dimension - 2)
+@pytest.mark.parametrize(("k0", "dimension"), [(2.9, 2), pytest.param(0.36, 3, marks=pytest.mark.slow)])
+def test_a_bed_presses_on_a_baffle_with_its_ratio_up_to_the_limits_of_yield(k0: float, dimension: int) -> None:
+    """From K_a = 1/3 to K_p = 3, and nothing moves: before, 0.34 gave 0.40 and 2.9 gave 2.6."""
+    face, near, deep = 0.6, (0.0,) * (dimension - 2), (0.1,) * (dimension - 2)
     bed = Mass(lower=(0.0, 0.0, *near), size=(face, 0.3, *deep), k0=k0)
     baffle = Baffle(lower=(face, 0.0, *near), size=(0.1, 0.5, *deep))
     scene = scene_of(bed, size=(0.8, 0.6, *deep), cell=0.025, baffles=(baffle,), duration=0.1)
