@@ -115,9 +115,9 @@ def test_a_grid_without_room_grows_and_the_run_goes_on(workers: int, monkeypatch
     for fewest in (1, 2**20):
         monkeypatch.setattr("mpm.arrays.layout.FEWEST_NODES", fewest)
         monkeypatch.setattr("mpm.arrays.layout.NODES_PER_PARTICLE", 0)
-        batch = Batch(scenes, precision="f64", workers=workers)
+        batch = Batch(scenes, precision="f32", workers=workers)
         first = batch.workers[:, Worker.ROOM].copy()
-        start("f64", 2)
+        start("f32", 2)
         for last in (3, 8):
             compute(batch, last)
         assert (batch.workers[:, Worker.USED] <= batch.workers[:, Worker.ROOM]).all()
@@ -161,8 +161,8 @@ def test_a_large_scene_takes_fewer_threads_while_processors_are_missing() -> Non
 
 def test_time_and_memory_follow_the_material_not_the_box() -> None:
     """A box 90 times as high has the same nodes in use, and the same flow."""
-    low, high = (Batch([box(size=(1.0, height))], precision="f64") for height in (1.0, 90.0))
-    start("f64")
+    low, high = (Batch([box(size=(1.0, height))], precision="f32") for height in (1.0, 90.0))
+    start("f32")
     for batch in (low, high):
         compute(batch, 21)
     assert low.workers[0, Worker.USED] == high.workers[0, Worker.USED] < 1000
