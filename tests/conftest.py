@@ -24,16 +24,24 @@ settings.register_profile(
 )
 settings.load_profile("fast")
 
-MPM = "tests/mpm/"
+SHARED = {
+    "tests/inverse/forward/": "adjoint",
+    "tests/mpm/adjoint/": "adjoint",
+    "tests/mpm/": "mpm",
+    "tests/inverse/test_command.py": "inversions",
+    "tests/inverse/test_fields.py": "inversions",
+}
+"""Where tests share kernels, and what these are called together."""
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """A worker gets all tests of a file, and one of them all of `mpm`: they share kernels, which each compiles once."""
+    """A worker gets all tests of a file, or all that share kernels: each worker compiles its own."""
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return MPM if nodeid.startswith(MPM) else super()._split_scope(nodeid)
+            shared = next((name for place, name in SHARED.items() if nodeid.startswith(place)), None)
+            return shared or super()._split_scope(nodeid)
 
     return Scheduling(config, log)
