@@ -9,6 +9,9 @@ from hypothesis import HealthCheck, settings
 # Before torch and NumPy are imported: they read these once.
 for variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+# The kernels of the tests take more than the 100 MB that Taichi keeps: beyond these it drops the oldest of them, which
+# the next run would compile anew.
+os.environ.setdefault("TI_OFFLINE_CACHE_MAX_SIZE_OF_FILES", str(2**30))
 
 # The same examples every time, few enough for every run, none of them kept on disk.
 settings.register_profile(
@@ -21,16 +24,24 @@ settings.register_profile(
 )
 settings.load_profile("fast")
 
-MPM = "tests/mpm/"
+SHARED = {
+    "tests/inverse/forward/": "adjoint",
+    "tests/mpm/adjoint/": "adjoint",
+    "tests/mpm/": "mpm",
+    "tests/inverse/test_command.py": "inversions",
+    "tests/inverse/test_fields.py": "inversions",
+}
+"""Where tests share kernels, and what these are called together."""
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """A worker gets all tests of a file, and one of them all of `mpm`: they share kernels, which each compiles once."""
+    """A worker gets all tests of a file, or all that share kernels: each worker compiles its own."""
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return MPM if nodeid.startswith(MPM) else super()._split_scope(nodeid)
+            shared = next((name for place, name in SHARED.items() if nodeid.startswith(place)), None)
+            return shared or super()._split_scope(nodeid)
 
     return Scheduling(config, log)

@@ -17,6 +17,7 @@ from inverse import Parameter
 from inverse.adapt import main
 from inverse.adaptation import DATA, adapt, definition, deposits
 from tests.inverse.flows import problem_of, simulator_of
+from tests.pool import pool
 from tests.refusals import refused, refused_by
 
 NAMES = ("friction_deg", "masses[0].velocity_x")
@@ -39,7 +40,9 @@ def tiny(weights: Path) -> Model:
 def adapted(weights: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a model that was trained for a second on seven flows."""
     out = tmp_path_factory.mktemp("run")
-    adapt(problem_of(2, *NAMES), out, runs=7, minutes=0.01, model=weights, jobs=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mpm.generate.pool", pool)
+        adapt(problem_of(2, *NAMES), out, runs=7, minutes=0.01, model=weights, jobs=1)
     return out
 
 

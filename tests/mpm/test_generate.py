@@ -7,27 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import Domain, Mass, Scene, Trajectory
-from datasets.definitions import read_definition
+from datasets import Mass, Scene, Trajectory
 from datasets.definitions.definition import Definition, Split, Storage
 from datasets.errors import WorkFailed
 from mpm.generate import command, generate, thinned
 from tests.breaking import dataset_files
 from tests.pool import pool
 from tests.refusals import refused, refused_by
+from tests.scenes import box
 
 
 def draw(stream: np.random.Generator, index: int) -> Scene:
     """A small falling block on a coarse grid, for four frames."""
-    scene = read_definition("paper2d").entries(seed=0, count=1)[0].scene
-    x, y = stream.uniform(0.2, 0.6, 2)
-    return replace(
-        scene,
-        domain=Domain(size=(1.0, 1.0), cell=0.05),
-        masses=(Mass(lower=(float(x), float(y)), size=(0.2, 0.2), velocity=(1.0, 0.0)),),
-        duration=0.01,
-        seed=index,
-    )
+    x, y = stream.uniform(0.2, 0.6, 2).tolist()
+    block = Mass(lower=(x, y), size=(0.2, 0.2), velocity=(1.0, 0.0))
+    return box(block, cell=0.05, duration=0.01, frame_dt=0.0025, seed=index)
 
 
 TINY = Definition(

@@ -14,19 +14,6 @@ from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_controlled, follow_
 pytestmark = pytest.mark.double
 
 
-def test_uniaxial_strain_is_elastic_then_on_the_yield_line() -> None:
-    """Elastic: lateral over axial stress nu / (1 - nu); where that leaves the cone of cohesionless sand, 1 / N."""
-    squeeze = np.tile([[0.0, 0.0], [0.0, -1e-5]], (200, 1, 1))
-    firm = Material(friction_deg=45.0, poisson=0.3)
-    history = follow(firm, squeeze)
-    np.testing.assert_allclose(history[-1, XX] / history[-1, YY], 0.3 / 0.7, rtol=1e-9)
-    np.testing.assert_allclose(history[-1, YY], -200e-5 * (firm.lame + 2 * firm.shear_modulus), rtol=1e-9)
-    soft = Material(friction_deg=15.0, poisson=0.3)
-    history = follow(soft, squeeze)
-    n = (1 + np.sin(np.radians(15))) / (1 - np.sin(np.radians(15)))
-    np.testing.assert_allclose(history[-1, XX] / history[-1, YY], 1 / n, rtol=1e-6)
-
-
 @pytest.mark.parametrize(("friction_deg", "dilation_deg"), [(30.0, 0.0), (30.0, 10.0), (42.0, 42.0)])
 def test_simple_shear_attains_davis(friction_deg: float, dilation_deg: float) -> None:
     """tau / s_n = sin phi cos psi / (1 - sin phi sin psi) under constant normal stress (Davis 1968)."""
@@ -36,7 +23,7 @@ def test_simple_shear_attains_davis(friction_deg: float, dilation_deg: float) ->
         return np.array([[0.0, 3e-5], [0.0, free[0]]])
 
     start = np.array([-1e4, -1e4, -1e4, 0.0])
-    history = follow_controlled(sand, start=start, steps=50, gradient=gradient, held={YY: -1e4})
+    history = follow_controlled(sand, start=start, steps=30, gradient=gradient, held={YY: -1e4})
     phi, psi = np.radians(friction_deg), np.radians(dilation_deg)
     davis = np.sin(phi) * np.cos(psi) / (1 - np.sin(phi) * np.sin(psi))
     assert history[-1, XY] / 1e4 == pytest.approx(davis, rel=2e-3)

@@ -50,28 +50,28 @@ def broken_off(scene: Scene, calls: int, **options: Any) -> Checkpoint:
 
 
 @pytest.mark.parametrize(
-    ("record", "precision", "shared"),
+    ("scene", "record", "precision", "shared"),
     [
-        (RECORD, "f32", False),
-        (Recording(), "f32", False),
-        pytest.param(RECORD, "f64", False, marks=pytest.mark.slow),
-        pytest.param(RECORD, "f32", True, marks=pytest.mark.slow),
+        (OPEN, RECORD, "f32", False),
+        (FLOW, Recording(), "f32", False),
+        pytest.param(FLOW, RECORD, "f64", False, marks=pytest.mark.slow),
+        pytest.param(FLOW, RECORD, "f32", True, marks=pytest.mark.slow),
     ],
 )
 def test_a_resumed_run_is_the_unbroken_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record: Recording, precision: Precision, shared: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene: Scene, record: Recording, precision: Precision, shared: bool
 ) -> None:
     """Broken off twice; a large scene is sorted at every launch."""
     if shared:
         monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
         monkeypatch.setattr(solver, "LARGE", 0)
     threads = 2 if shared else 1
-    whole = simulate(FLOW, precision=precision, record=record, threads=threads)
     options: Any = {"precision": precision, "record": record, "threads": threads}
-    broken_off(FLOW, 1, **options).save(tmp_path / "checkpoint.npz")
-    second = broken_off(FLOW, 1, resume=Checkpoint.load(tmp_path / "checkpoint.npz"), **options)
+    whole = simulate(scene, **options)
+    broken_off(scene, 1, **options).save(tmp_path / "checkpoint.npz")
+    second = broken_off(scene, 1, resume=Checkpoint.load(tmp_path / "checkpoint.npz"), **options)
     assert second.frame == 2 * (3 if record is RECORD else FRAMES_PER_CALL)
-    same(simulate(FLOW, resume=second, **options), whole)
+    same(simulate(scene, resume=second, **options), whole)
 
 
 @pytest.fixture(scope="module")

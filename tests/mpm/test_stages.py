@@ -55,7 +55,6 @@ def test_until_settled_and_at_rest_after_the_last_stage() -> None:
     assert any(line.startswith("stages[0] did not begin: by t = 0.05 s") for line in flow.summary["remarks"])
 
 
-@pytest.mark.double
 def test_the_material_is_that_of_the_stage_alone() -> None:
     """Free of stress at the start, a stage in the first frame differs from the material itself by that frame alone."""
     body = Mass(lower=(0.4, 0.0), size=(0.2, 0.2))
@@ -64,7 +63,7 @@ def test_the_material_is_that_of_the_stage_alone() -> None:
         box(body, material=material, duration=0.1, frame_dt=1.0e-4, stages=stages)
         for material, stages in ((CLAY, (Stage(time=1.0e-4, friction_deg=30.0, **LOST),)), (loose, ()))
     )
-    one, other = (simulate(scene, precision="f64", threads=1, record=LAST).positions[-1] for scene in (late, early))
+    one, other = (simulate(scene, threads=1, record=LAST).positions[-1] for scene in (late, early))
     np.testing.assert_allclose(one, other, atol=1.0e-3)
 
 

@@ -187,16 +187,18 @@ def test_holds_of_nodes_are_continuous_in_the_place_of_the_solids(dimension: int
     """What all holds of a node take of any velocity into them, sum_k share_k N_k N_k^T."""
     scene = mixed(dimension)
     whole = surface(scene)
-    nodes = np.arange(np.prod(node_shape(scene.domain)))
+    every = np.arange(np.prod(node_shape(scene.domain)))
+    # In 3D every fourth node tells as much.
+    nodes = every[:: 1 if dimension == 2 else 4]
 
     def removed(shift: float) -> NDArray[np.float64]:
         moved = dataclasses.replace(whole, corners=whole.corners + shift)
         first, holds = holds_of(whole_box(scene.domain), moved, nodes, cutoff=2.0)
         normal = moved.normals[holds[:, 0].astype(int)]
-        taken = np.zeros((len(nodes), dimension, dimension))
-        node = np.repeat(nodes, np.diff(first))
+        taken = np.zeros((len(every), dimension, dimension))
+        node = np.repeat(every, np.diff(first))
         np.add.at(taken, node, holds[:, 2, None, None] * normal[:, :, None] * normal[:, None, :])
-        return taken
+        return taken[nodes]
 
     here = removed(0.0)
     depth = -nearest(whole, whole_box(scene.domain).positions(nodes)).distance / CELL

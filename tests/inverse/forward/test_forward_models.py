@@ -72,7 +72,7 @@ ROUGH = ("floor_friction", "wall_friction", "damping")
 OTHER = ("masses[1].friction_deg", "masses[1].cohesion", "masses[1].velocity_y")
 NAMES: dict[int | str, tuple[str, ...]] = {
     2: (*MATERIAL, *BAFFLE, *ROUGH, *OTHER),
-    3: (*MATERIAL, *BAFFLE, "masses[0].velocity_z", "baffles[1].z", "baffles[1].width"),
+    3: ("friction_deg", "baffles[0].x", "masses[0].velocity_z", "baffles[1].z", "baffles[1].width"),
     "terrain": (*MATERIAL, *ROUGH, "solids[0].friction", "solids[1].friction"),
 }
 STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7, "friction": 1e-4, "damping": 1e-4}
