@@ -23,6 +23,8 @@ PARTS = 4
 
 STALE = 60.0
 """Seconds after which the lock of the cache of kernels is nobody's."""
+KERNELS = 2**30
+"""Most that compiled kernels take on disk [bytes]."""
 
 _running: tuple[Precision, int, Arch] | None = None
 
@@ -62,6 +64,8 @@ def start(
             # 43 of the 50 seconds of a 3D kernel with contact, for the same code to the bit.
             opt_level=0,
             offline_cache=True,
+            # Of Taichi's 100 MB a kind of scene takes one to two; beyond them it drops the oldest.
+            offline_cache_max_size_of_files=KERNELS,
             log_level=ti.ERROR,
         )
     _running = (precision, threads, arch)

@@ -9,9 +9,6 @@ from hypothesis import HealthCheck, settings
 # Before torch and NumPy are imported: they read these once.
 for variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
-# The kernels of the tests take more than the 100 MB that Taichi keeps: beyond these it drops the oldest of them, which
-# the next run would compile anew.
-os.environ.setdefault("TI_OFFLINE_CACHE_MAX_SIZE_OF_FILES", str(2**30))
 
 # The same examples every time, few enough for every run, none of them kept on disk.
 settings.register_profile(

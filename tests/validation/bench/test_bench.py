@@ -16,7 +16,7 @@ from validation.bench import speed
 from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
 from validation.bench.mountain import sliding_point, written_scene
-from validation.bench.speed import feature_row, featured
+from validation.bench.speed import feature_row, featured, mean_x, started_row
 from validation.run_store import kept
 
 
@@ -75,6 +75,25 @@ def test_baffles_are_priced_beside_the_same_scene_without_them(monkeypatch: pyte
     monkeypatch.setattr(speed, "simulate", simulate)
     row = feature_row("short", *featured()["column-short-21"], 2)
     assert [*row.values()] == ["`short`", "3,200", "1 baffle", "30.0", "20.0", "1.500"]
+
+
+def test_the_second_run_finds_the_kernels_of_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    def isolated(work: object, scene: Scene, folder: str) -> float:
+        seconds = 0.5 if any(Path(folder).iterdir()) else 9.0
+        Path(folder, "kernel").touch()
+        return seconds
+
+    monkeypatch.setattr(speed, "isolated", isolated)
+    row = {"scene": "`valley-3d` (3D)", "first run [s]": "9.0", "second run [s]": "0.5"}
+    assert started_row("valley-3d") == row
+
+
+def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:
+    positions = np.random.default_rng(0).random((1, 5, 2))
+    value, slope, _ = mean_x(positions, positions)
+    moved = positions.copy()
+    moved[0, 3, 0] += 1e-6
+    assert (mean_x(moved, moved)[0] - value) / 1e-6 == pytest.approx(slope[0, 3, 0])
 
 
 @pytest.mark.skipif(shutil.which("nvidia-smi") is not None, reason="there may be a GPU here")
