@@ -64,7 +64,7 @@ def start(
             # 43 of the 50 seconds of a 3D kernel with contact, for the same code to the bit.
             opt_level=0,
             offline_cache=True,
-            # Of Taichi's 100 MB a kind of scene takes one to two; beyond them it drops the oldest.
+            # Beyond Taichi's 100 MB the kernels of older kinds of scenes would be dropped.
             offline_cache_max_size_of_files=KERNELS,
             log_level=ti.ERROR,
         )

@@ -175,12 +175,12 @@ class Objective:
 def doubted(posterior: Gaussian, wrong: float) -> Gaussian:
     """A posterior whose derivatives are off by errors E with E|E dw|^2 = `wrong` |dw|^2, as its steps have shown.
 
-    Derivatives are wrong as they are large: an error of all of G by the same part, in rows and columns that chance
-    mixes. At a truth that the posterior leaves, E(w_t - w) is then an error of the combination U_k^T beside its own, 1:
+    The errors are taken to be random and in proportion to G along each of its singular directions. Where the truth lies
+    w_t - w away, E (w_t - w) is an error of the combination U_k^T besides its own, which is 1:
 
         s_k^2 <- s_k^2 / (1 + wrong tr(cov w) s_k^2 / sum s^2)
 
-    So along no direction is more known than the directions of the derivatives are.
+    So a direction that is itself uncertain is not known exactly, however small the noise is.
     """
     left, values, rest = np.linalg.svd(posterior.jacobian, full_matrices=False)
     spread = len(posterior.mean) - float((posterior.removed**2).sum())

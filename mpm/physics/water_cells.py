@@ -235,8 +235,8 @@ def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.templat
         if run > 0.0:
             given[Pore.SLOPE_X + axis - NODE] = rise / run
     source = diffusion * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
-    given[Pore.CHANGE - NODE], given[Pore.SOURCE - NODE] = source / full, source
-    given[Pore.SHARE - NODE], given[Pore.PER_DIAGONAL - NODE] = full, 1.0 / (full + diagonal)
+    given[Pore.SOURCE - NODE], given[Pore.SHARE - NODE] = source, full
+    given[Pore.PER_DIAGONAL - NODE] = 1.0 / (full + diagonal)
     least = 0.0 - sums[Pore.SUCTION]
     given[Pore.FELT - NODE] = ti.max(pressure + source / full, least) - ti.max(pressure, least)
     arrays.cells[2 * cell + 1] = given

@@ -24,6 +24,16 @@ def scatter_of(rng: np.random.Generator, size: int, width: float, *, expected: f
     return Scatter.of_runs(points, numbers, np.full(size, expected))
 
 
+def test_a_number_that_no_run_moves_scatters_as_expected() -> None:
+    """By as much less than the others as was expected of it, not by rounding."""
+    deviations = np.random.default_rng(0).normal(size=(12, 20))
+    deviations[:, 0] = 0.0
+    covariance = Scatter(deviations=deviations, freedom=11, expected=np.ones(20)).covariance
+    assert covariance[0, 0] == pytest.approx(2.0 / 13.0, rel=0.2)
+    assert np.diag(covariance)[1:].mean() == pytest.approx(1.0, rel=0.2)
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+
+
 @pytest.mark.parametrize(("size", "noise", "width"), [(1, 0.0, 1.0), (1, 2.0, 0.2), (20, 0.0, 1.0), (20, 1.0, 1.0)])
 def test_right_answers_lie_within_it_as_often_as_it_says(size: int, noise: float, width: float) -> None:
     """Of 400 at 99 % and at 95 %: 7 of the first are outside in fewer than one of fifty such tests."""

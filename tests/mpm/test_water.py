@@ -319,7 +319,6 @@ def front(ratio: float | None, *, seeds: int = 3, **changes: Any) -> float:
 def test_columns_run_farther_the_more_water_bears() -> None:
     dry, *fronts = [front(ratio) for ratio in (None, 0.2, 0.5, 0.8, 1.0)]
     assert fronts == sorted(fronts)
-    # Grains keep the stress in which they shear, without drainage: a column that thins is then stronger than dry sand.
     assert fronts[0] == pytest.approx(dry, rel=0.1)
     assert fronts[-1] > 1.7 * dry
     assert front(0.5, cell=0.02) == pytest.approx(fronts[1], rel=0.08)

@@ -102,6 +102,9 @@ def test_a_raster_on_the_map_is_the_target_that_its_flow_makes(cell: float, tmp_
     correlation = target.errors.matrix[one, other] / (target.deviation[one] * target.deviation[other])
     assert correlation == pytest.approx(np.exp(-apart / 0.5))
     assert target.deviation[core] == pytest.approx(0.01)
+    bare = target.values == 0.0
+    assert bare.any()
+    assert target.deviation[bare] == pytest.approx(0.1 * target.values[~bare].mean())
     assert places.max() < 2.4 + 0.25 * 1.6 + 2.0 * grid.spacing[0]
 
 
