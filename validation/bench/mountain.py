@@ -64,7 +64,7 @@ OTHERS = ("com1DFA", "samosat", "RAMMSUSER", "TITAN2D", "TRENT2D")
 CASES = {
     "CoulombOnly": Slide(
         ("com1DFA", "samosat", "MPM", "RAMMSUSER", "TITAN2D", "TRENT2D"), 0, 1,
-        (1500.0, 2000.0, 2500.0, 3000.0, 3250.0, 3500.0, 3750.0, 4000.0), (4.0, 2.0, 1.0, 0.75), internal_friction=30.0,
+        (1500.0, 2000.0, 2500.0, 3000.0, 3250.0, 3500.0, 3750.0, 4000.0), (4.0, 2.0, 1.0), internal_friction=30.0,
     ),
     "IdealizedTopo": Slide(OTHERS, 0, 1, (1500.0, 1750.0, 2000.0, 2250.0, 2500.0, 2750.0, 3000.0, 3200.0)),
     "RealTopo": Slide(
