@@ -35,8 +35,8 @@ class Derivatives(StrEnum):
     """Its adjoint: exact, at one reverse pass for each combination of the numbers that matters. In long flows in 3D a
     few particles make it noisy; more `seeds` average it."""
     DIFFERENCES = "differences"
-    """Runs that each move along all principal directions of the prior, a few more than there are such directions for each
-    seed: little noise of a chaotic flow, and no more than these directions."""
+    """Runs that each move along all principal directions of the prior, for each seed a few more than there are such
+    directions: little noise of a chaotic flow, and no more than these directions."""
 
 
 class Surrogate(StrEnum):
@@ -47,8 +47,8 @@ class Surrogate(StrEnum):
     GNS = "gns"
     """Always: an error where it cannot."""
     COARSE = "coarse"
-    """The MPM on cells twice as large, at a sixteenth of the price in 3D: where a run takes minutes. Twice as many seeds
-    as `seeds` make its derivatives smoother."""
+    """The MPM on cells twice as large, at a sixteenth of the price in 3D: where a run takes minutes. For its derivatives
+    with twice as many `seeds`."""
     NONE = "none"
     """Never: the loop runs on the MPM alone."""
 
