@@ -47,8 +47,8 @@ class Surrogate(StrEnum):
     GNS = "gns"
     """Always: an error where it cannot."""
     COARSE = "coarse"
-    """The MPM on cells twice as large, at a sixteenth of the price in 3D: where a run takes minutes. For its derivatives
-    with twice as many `seeds`."""
+    """The MPM on cells twice as large, at a sixteenth of the price in 3D: where a run takes minutes. Derivatives take
+    twice as many `seeds`."""
     NONE = "none"
     """Never: the loop runs on the MPM alone."""
 
