@@ -244,7 +244,7 @@ def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
     }
     return replace(
         outcome,
-        posterior=doubted(nearest, objective.doubt(scatter)),
+        posterior=doubted(nearest, objective.doubt(scatter), flow.directions),
         iterates=[*outcome.iterates, *objective.iterates],
         checks=LED_CHECKS,
         surrogate=said,

@@ -159,19 +159,21 @@ class Objective:
         return float(np.mean([max(0.0, missed - noise) / moved for missed, moved in self.missed] or 0.0))
 
 
-def doubted(posterior: Gaussian, wrong: float) -> Gaussian:
+def doubted(posterior: Gaussian, wrong: float, directions: Floats) -> Gaussian:
     """A posterior whose derivatives are off by errors E with E|E dw|^2 = `wrong` |dw|^2, as its steps have shown.
 
-    The errors are taken to be random and in proportion to G along each of its singular directions. Where the truth lies
-    w_t - w away, E (w_t - w) is an error of the combination U_k^T besides its own, which is 1:
+    Where the truth lies w_t - w away, E (w_t - w) is an error of the combination U_k^T besides its own, which is 1. E is
+    taken to be random, of a size along U_k in proportion to s_k^(1/2), and to act along the `directions` D [V, W]
+    in which the prior varies:
 
-        s_k^2 <- s_k^2 / (1 + wrong tr(cov w) s_k^2 / sum s^2)
+        s_k^2 <- s_k^2 / (1 + wrong tr(D cov(w) D^T) s_k / sum s)
 
-    So a direction that is itself uncertain is not known exactly, however small the noise is.
+    So a direction that is itself uncertain is not known exactly, however small the noise is. The exponent is measured:
+    derivatives on two sizes of cells differ so in the problem `gully`.
     """
     left, values, rest = np.linalg.svd(posterior.jacobian, full_matrices=False)
-    spread = len(posterior.mean) - float((posterior.removed**2).sum())
-    share = values**2 / max(float(values @ values), np.finfo(np.float64).tiny)
+    spread = len(directions) - float(((directions @ posterior.removed) ** 2).sum())
+    share = values / max(float(values.sum()), np.finfo(np.float64).tiny)
     return replace(posterior, jacobian=left * (values / np.sqrt(1.0 + wrong * spread * share)) @ rest)
 
 
