@@ -162,9 +162,9 @@ class Objective:
 def doubted(posterior: Gaussian, wrong: float, directions: Floats) -> Gaussian:
     """A posterior whose derivatives are off by errors E with E|E dw|^2 = `wrong` |dw|^2, as its steps have shown.
 
-    Where the truth lies w_t - w away, E (w_t - w) is an error of the combination U_k^T besides its own, which is 1. E is
-    taken to be random, of a size along U_k in proportion to s_k^(1/2), and to act along the `directions` D [V, W]
-    in which the prior varies:
+    Where the truth lies w_t - w away, E (w_t - w) is an error of the combination U_k^T besides its own, which is 1. E
+    is taken to be random, of a size along U_k in proportion to s_k^(1/2), and to act along the `directions` D [V, W] in
+    which the prior varies:
 
         s_k^2 <- s_k^2 / (1 + wrong tr(D cov(w) D^T) s_k / sum s)
 
