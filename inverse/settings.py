@@ -35,8 +35,8 @@ class Derivatives(StrEnum):
     """Its adjoint: exact, at one reverse pass for each combination of the numbers that matters. In long flows in 3D a
     few particles make it noisy; more `seeds` average it."""
     DIFFERENCES = "differences"
-    """Runs a standard deviation of the prior apart, one for each of its principal directions: no noise of a
-    chaotic flow, and no more than these directions."""
+    """Runs that each move along all principal directions of the prior, for each seed a few more than there are such
+    directions: little noise of a chaotic flow, and no more than these directions."""
 
 
 class Surrogate(StrEnum):
@@ -47,7 +47,8 @@ class Surrogate(StrEnum):
     GNS = "gns"
     """Always: an error where it cannot."""
     COARSE = "coarse"
-    """The MPM on cells twice as large, at a sixteenth of the price in 3D: where a run takes minutes."""
+    """The MPM on cells twice as large, at a sixteenth of the price in 3D: where a run takes minutes. Derivatives take
+    twice as many `seeds`."""
     NONE = "none"
     """Never: the loop runs on the MPM alone."""
 

@@ -1,5 +1,6 @@
 """The MPM as a function of white numbers: independent normal ones, of which unknown fields and numbers follow."""
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import pairwise
@@ -23,9 +24,11 @@ from mpm.adjoint.tape import FlowAdjoints, Tape, steady
 
 MEMORY_MIB = 512.0
 """For the checkpoints of the runs that are reversed side by side [MiB]."""
-KEPT, STEP = 0.05, 1.0
-"""Variance of a field along the directions of differences, over the largest, at least; and their step in standard
-deviations of the prior: over one so long, flows that differ in their jitter alone differ little."""
+KEPT, STEP = 0.05, 0.5
+"""Variance of a field along the directions of differences, over the largest, at least; and their step, root mean square
+over the runs, in standard deviations of the prior."""
+IDLE = 4
+"""Columns of the steps of differences that move nothing."""
 
 
 class WhiteFlow:
@@ -85,6 +88,11 @@ class WhiteFlow:
         """The observed numbers [M] at white numbers [W], mean over jitter seeds."""
         return np.asarray(self.observe([white] * len(seeds), seeds).mean(axis=0))
 
+    @property
+    def reverses_combinations(self) -> bool:
+        """Whether each combination of the numbers has a price, that of a reverse pass."""
+        return self.problem.optimiser.derivatives is Derivatives.ADJOINT
+
     @cached_property
     def directions(self) -> Floats:
         """Orthonormal directions of the white numbers, shape [V, W]: those along which a field varies by more than
@@ -99,15 +107,28 @@ class WhiteFlow:
         return np.concatenate([*rows, np.eye(self.size)[self.of_numbers]])
 
     def differences(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
-        """`jacobian` by runs `STEP` apart along `directions`."""
-        points = [white, *(white + STEP * self.directions)]
-        shown = self.observe([point for point in points for _ in seeds], [*seeds] * len(points))
-        numbers = shown.reshape(len(points), len(seeds), -1).mean(axis=1)
-        return np.asarray(combinations @ ((numbers[1:] - numbers[0]) / STEP).T @ self.directions)
+        """`jacobian` by runs that each move along all V `directions` at once, V + 1 + `IDLE` of them for each seed.
+
+        Their steps, `STEP` times columns that are orthogonal to one another and to the constant, tell every derivative
+        by all runs (Plackett & Burman, The design of optimum multifactorial experiments, Biometrika 33 (1946) 305-325):
+        runs of one direction at a time would need V times as many to average the scatter of chaotic flows as well.
+        Every second seed takes the steps of the one before it backwards, so that terms of even order cancel. What seems
+        to follow from the columns that move nothing is noise, and is taken out (`denoised`).
+        """
+        count, rng = len(self.directions) + 1 + IDLE, np.random.default_rng(0)
+        slope: Floats | float = 0.0
+        for pair in range(0, len(seeds), 2):
+            columns = np.column_stack([np.ones(count), rng.standard_normal((count, count - 1))])
+            steps = STEP * math.sqrt(count) * np.linalg.qr(columns)[0][:, 1:]
+            for seed, sign in zip(seeds[pair : pair + 2], (1.0, -1.0), strict=False):
+                shown = self.observe(list(white + sign * steps[:, IDLE:] @ self.directions), [seed] * count)
+                slope = slope + sign * steps.T @ shown / (count * STEP**2 * len(seeds))
+        shown = combinations @ np.transpose(slope)
+        return denoised(shown[:, IDLE:], float((shown[:, :IDLE] ** 2).mean())) @ self.directions
 
     def jacobian(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
         """Derivatives [r, W] of `combinations` [r, M] of the numbers at white numbers [W], mean over jitter seeds."""
-        if self.problem.optimiser.derivatives is Derivatives.DIFFERENCES:
+        if not self.reverses_combinations:
             return self.differences(white, combinations, seeds)
         jacobian, fields = np.zeros((len(combinations), self.size)), self.fields(white)
         for first in range(0, len(seeds), processors()):
@@ -157,3 +178,19 @@ class WhiteFlow:
         ]
         by_positions, by_volumes = ([gradient.numpy() for gradient in column] for column in zip(*rows, strict=True))
         return np.stack(by_positions), np.stack(by_volumes)
+
+
+def denoised(matrix: Floats, variance: float) -> Floats:
+    """The matrix of low rank that is nearest to the one [r, V] behind `matrix`, whose entries have noise.
+
+    variance: of the noise of an entry. In its unit, that of a random matrix, a singular value becomes
+    ((s^2 - b - 1)^2 - 4 b)^(1/2) / s, 0 below 1 + b^(1/2), with the ratio b <= 1 of the sides (Gavish & Donoho, Optimal
+    shrinkage of singular values, IEEE Trans. Inf. Theory 63 (2017) 2137-2152, eq. 7).
+    """
+    left, values, right = np.linalg.svd(matrix, full_matrices=False)
+    short, long = sorted(matrix.shape)
+    unit, ratio = math.sqrt(long * variance), short / long
+    above = values > (1.0 + math.sqrt(ratio)) * unit
+    left, values, right = left[:, above], values[above], right[above]
+    squares = (values**2 - (ratio + 1.0) * unit**2) ** 2 - 4.0 * ratio * unit**4
+    return np.asarray(left * (np.sqrt(squares) / values) @ right)

@@ -19,8 +19,8 @@ posterior is a low-rank update of the prior by the eigenpairs of the Hessian of 
 (Bui-Thanh, Ghattas, Martin & Stadler, A computational framework for infinite-dimensional Bayesian inverse problems,
 SIAM J. Sci. Comput. 35 (2013) A2494-A2523): along V_k the observation tells s_k^2 times as much as the prior.
 
-Where a surrogate leads, it searches and gives the derivatives; a few runs of the MPM then correct both
-(`inverse.fields.search.Objective.corrected`).
+Where a surrogate leads, it searches; then the MPM's runs count, with the surrogate's derivatives
+(`led`).
 """
 
 import sys
@@ -37,7 +37,7 @@ from datasets.scene.grid_field import Floats
 from inverse.answer import Answer, MpmRun, Purpose, judge
 from inverse.fields.flow import WhiteFlow
 from inverse.fields.posterior import FieldPosterior
-from inverse.fields.search import Gaussian, Objective
+from inverse.fields.search import Gaussian, Objective, doubted
 from inverse.fields.surrogate import SurrogateFlow, leading
 from inverse.noise import Scatter, fit
 from inverse.observations.target import Target
@@ -107,10 +107,15 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
         word = "" if "confirmed" not in said else " The MPM did not confirm it and searched by itself."
         notes.append(
             f"The surrogate found its answer by {said['predictions']} predictions and {said['reverse_passes']} reverse "
-            f"passes in {said['seconds']:.0f} s; runs of the MPM corrected it and its derivatives: the objective went "
-            f"from {objective[0]:.4g} to {min(objective):.4g}.{word}"
+            f"passes in {said['seconds']:.0f} s; with its derivatives, runs of the MPM moved on from there: the "
+            f"objective went from {objective[0]:.4g} to {min(objective):.4g}.{word}"
         )
-    if posterior.promised > LEFT:
+    if posterior.promised > LEFT and "confirmed" not in outcome.surrogate and lead is not None:
+        notes.append(
+            f"Its runs of the MPM ended where derivatives promise {posterior.promised:.1f} more of the objective; the "
+            "widths count what the derivatives have failed to foresee."
+        )
+    elif posterior.promised > LEFT:
         notes.append(
             f"**The search ended where its derivatives promise {posterior.promised:.1f} more of the objective, which "
             "no step brought: the fields are known less well than their widths say. More `optimiser.seeds` make "
@@ -163,25 +168,36 @@ def checked(flow: WhiteFlow, target: Target, outcome: Found) -> Answer:
     )
 
 
-def searched(flow: WhiteFlow, target: Target, errors: Floats, start: Floats) -> Found:
-    """By the derivatives of `flow` from `start` [W]; errors: covariance of the numbers besides the scatter [M, M]."""
-    problem = flow.problem
-    iterations, seed = problem.optimiser.max_iterations, problem.scene.seed
-    rng = np.random.default_rng(seed)
-    runs = flow.observe([start] * len(problem.scatter_seeds), problem.scatter_seeds)
-    draws = flow.observe(list(rng.standard_normal((len(runs), flow.size))), [seed] * len(runs))
+class Search:
+    """For the most probable white numbers, by the derivatives of `flow`."""
 
-    def objective(runs: Floats, seeds: Sequence[int]) -> Objective:
-        scatter = (1.0 + 1.0 / len(seeds)) * scatter_of(runs, target).covariance
-        return Objective(flow, target.values, errors + scatter, seeds, draws=draws)
+    def __init__(self, flow: WhiteFlow, target: Target, errors: Floats) -> None:
+        """errors: covariance of the numbers besides the scatter [M, M]."""
+        self.flow, self.target, self.errors, self.problem = flow, target, errors, flow.problem
+        self.draws: Floats | None = None
 
-    first = objective(runs, problem.seeds[:FIRST_SEEDS])
-    nearest = first.minimise(start, iterations, FIRST_CONVERGED)
-    # Again with the scatter of the fields that were found, and more seeds.
-    runs = flow.observe([nearest.mean] * len(runs), problem.scatter_seeds)
-    second = objective(runs, problem.seeds)
-    posterior = second.minimise(nearest.mean, iterations)
-    return Found(posterior, runs, [*first.iterates, *second.iterates], 1, {})
+    def objective(self, runs: Floats, seeds: Sequence[int]) -> Objective:
+        """J with the scatter of `runs`, which differ in their jitter seed alone, shape [n, M]."""
+        scatter = (1.0 + 1.0 / len(seeds)) * scatter_of(runs, self.target).covariance
+        return Objective(self.flow, self.target.values, self.errors + scatter, seeds, draws=self.draws)
+
+    def first(self, start: Floats) -> Found:
+        """From `start` [W], with few seeds and the scatter there."""
+        seed, seeds = self.problem.scene.seed, self.problem.scatter_seeds
+        runs = self.flow.observe([start] * len(seeds), seeds)
+        if self.flow.reverses_combinations:
+            points = np.random.default_rng(seed).standard_normal((len(runs), self.flow.size))
+            self.draws = self.flow.observe(list(points), [seed] * len(runs))
+        objective = self.objective(runs, self.problem.seeds[:FIRST_SEEDS])
+        posterior = objective.minimise(start, self.problem.optimiser.max_iterations, FIRST_CONVERGED)
+        runs = self.flow.observe([posterior.mean] * len(seeds), seeds)
+        return Found(posterior, runs, objective.iterates, 1, {})
+
+    def second(self, first: Found) -> Found:
+        """From there, with the scatter there and all seeds."""
+        objective = self.objective(first.runs, self.problem.seeds)
+        posterior = objective.minimise(first.posterior.mean, self.problem.optimiser.max_iterations)
+        return replace(first, posterior=posterior, iterates=[*first.iterates, *objective.iterates])
 
 
 def scatter_of(runs: Floats, target: Target) -> Scatter:
@@ -194,23 +210,28 @@ def alone(flow: WhiteFlow, target: Target, start: Floats) -> Found:
     """By the MPM's own derivatives from white numbers `start` [W]. Raises InputError for a scene without an adjoint."""
     if flow.problem.optimiser.derivatives is Derivatives.ADJOINT:
         check(features_of([flow.problem.scene], "f32"))
-    return searched(flow, target, target.errors.matrix, start)
+    search = Search(flow, target, target.errors.matrix)
+    return search.second(search.first(start))
 
 
 def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
-    """By the derivatives of a surrogate, then by runs of the MPM: most correct both, the last check the answer."""
+    """By a surrogate alone, then by its derivatives and runs of the MPM, the last of which check the answer."""
     began, start = time.perf_counter(), np.zeros(flow.size)
     error = lead.errors(start) if isinstance(lead, SurrogateFlow) else np.zeros((0, len(target.values)))
-    outcome = searched(lead, target, target.errors.matrix + error.T @ error, start)
+    outcome = Search(lead, target, target.errors.matrix + error.T @ error).first(start)
     seconds, posterior = time.perf_counter() - began, outcome.posterior
     # Two flows of the MPM at the answer say how much its own scatter is of the surrogate's, whose shape it has.
     seeds, shape = [flow.problem.scene.seed, flow.problem.scatter_seeds[0]], scatter_of(outcome.runs, target).covariance
     pair = flow.observe([posterior.mean] * 2, seeds)
     scatter = 0.5 * float(((pair[0] - pair[1]) ** 2).sum()) / float(np.trace(shape)) * shape
     # The MPM has no error of a surrogate.
+    combinations = posterior.combinations if lead.reverses_combinations else None
     covariance = target.errors.matrix + 2.0 * scatter
-    objective = Objective(flow, target.values, covariance, seeds[:1], combinations=posterior.combinations)
-    corrected = objective.corrected(posterior, pair[0], LED_RUNS - LED_CHECKS - len(pair), scatter)
+    objective = Objective(
+        flow, target.values, covariance, seeds[:1], lead=(lead, lead.problem.seeds), combinations=combinations
+    )
+    runs = LED_RUNS - LED_CHECKS - len(pair)
+    nearest = objective.minimise(posterior.mean, runs, numbers=pair[0], runs=runs)
     said = {
         "unknowns": {
             unknown.settings.name: float(values[unknown.inside].mean())
@@ -223,7 +244,7 @@ def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
     }
     return replace(
         outcome,
-        posterior=corrected,
+        posterior=doubted(nearest, objective.doubt(scatter), flow.directions),
         iterates=[*outcome.iterates, *objective.iterates],
         checks=LED_CHECKS,
         surrogate=said,

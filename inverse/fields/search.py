@@ -71,33 +71,37 @@ class Objective:
         covariance: Floats,
         seeds: Sequence[int],
         *,
+        lead: tuple[Any, Sequence[int]] | None = None,
         draws: Floats | None = None,
         combinations: Floats | None = None,
     ) -> None:
         """flow: `inverse.fields.flow.WhiteFlow`, or what has its `mean` and `jacobian`; target: y [M]; covariance: R
-        [M, M]; seeds: n of F; draws: numbers [n, M] of draws of the prior, or combinations: of the numbers [r, M].
+        [M, M]; seeds: n of F; lead: a flow whose derivatives are taken, and their jitter seeds; else those of `flow`.
+
+        Derivatives are asked for of combinations of the numbers: of `combinations` [r, M], or where there are `draws`,
+        numbers [n, M] at draws of the prior, of those by which these differ; else of every number.
         """
-        self.flow, self.target, self.seeds = flow, target, seeds
+        self.flow, self.target, self.seeds, self.lead = flow, target, seeds, lead or (flow, seeds)
         self.root = scipy.linalg.cholesky(covariance, lower=True)
-        if draws is None:
-            basis, self.change = np.linalg.qr((combinations @ self.root).T)
+        if combinations is not None:
+            basis = np.linalg.qr((combinations @ self.root).T)[0]
+        elif draws is None:
+            basis = np.eye(len(target))
         else:
             basis, singular, _ = np.linalg.svd(self.whitened((draws - draws.mean(axis=0)).T), full_matrices=False)
             matter = int((singular**2 / (len(draws) - 1) > SMALL).sum())
             basis = basis[:, : max(1, matter)]
-            self.change = np.eye(basis.shape[1])
         self.rows = np.asarray(basis.T)
-        """Orthonormal combinations of whitened numbers, in which draws vary by more than `SMALL`, shape [r, M]."""
+        """Orthonormal combinations of whitened numbers, shape [r, M]."""
+        self.combinations = self.rows @ self.whitened(np.eye(len(target)))
+        """The same of the numbers, shape [r, M]."""
         self.iterates: list[dict[str, float]] = []
+        self.missed: list[tuple[float, float]] = []
+        """|e|^2 and |dw|^2 of each step that was tried: what derivatives did not foresee, e = L^-1 dF - G dw."""
 
     def whitened(self, numbers: Floats) -> Floats:
         """Numbers [M, ...] in units in which their errors are independent and 1."""
         return np.asarray(scipy.linalg.solve_triangular(self.root, numbers, lower=True))
-
-    def evaluated(self, white: Floats, step: float) -> tuple[Floats, dict[str, float]]:
-        """F [M] and the iterate at white numbers [W]; step: part of the Gauss-Newton step, 0 at the start."""
-        numbers = self.flow.mean(white, self.seeds)
-        return numbers, self.iterate(white, numbers, step)
 
     def iterate(self, white: Floats, numbers: Floats, step: float) -> dict[str, float]:
         """That at white numbers [W] that show `numbers` [M]."""
@@ -106,85 +110,70 @@ class Objective:
         objective, misfit = 0.5 * (squares + float(white @ white)), math.sqrt(squares / len(residual))
         return {"objective": objective, "misfit": misfit, "step": step}
 
-    def minimise(self, start: Floats, iterations: int, enough: float = CONVERGED) -> Gaussian:
-        """From `start` [W] to the most probable white numbers; enough: decrease of J that a step must promise."""
-        white, (numbers, iterate) = start, self.evaluated(start, 0.0)
-        self.iterates.append(iterate)
-        combinations = self.rows @ self.whitened(np.eye(len(self.target)))
+    def minimise(
+        self,
+        start: Floats,
+        iterations: int,
+        enough: float = CONVERGED,
+        *,
+        numbers: Floats | None = None,
+        runs: float = math.inf,
+    ) -> Gaussian:
+        """From `start` [W] to the most probable white numbers.
+
+        enough: decrease of J that a step must promise; numbers: F at the start [M] where known; runs: most evaluations.
+        """
+        white, (lead, seeds) = start, self.lead
+        numbers = self.flow.mean(white, self.seeds) if numbers is None else numbers
+        self.iterates.append(self.iterate(white, numbers, 0.0))
         decrease, first = math.inf, len(self.iterates)
         while True:
-            jacobian = self.flow.jacobian(white, combinations, self.seeds)
+            jacobian = lead.jacobian(white, self.combinations, seeds)
             residual = self.rows @ self.whitened(numbers - self.target)
             proposed = linear_mean(jacobian, white, residual)
             promised = gain(jacobian, residual, white, proposed - white)
+            posterior, step = Gaussian(white, jacobian, promised, self.combinations), 1.0
             if min(promised, decrease) < enough or len(self.iterates) - first >= iterations:
-                return Gaussian(white, jacobian, promised, combinations)
-            step = 1.0
+                return posterior
             while True:
-                tried = white + step * (proposed - white)
-                shown, iterate = self.evaluated(tried, step)
+                if len(self.missed) >= runs:
+                    return posterior
+                moved = step * (proposed - white)
+                shown = self.flow.mean(white + moved, self.seeds)
+                iterate = self.iterate(white + moved, shown, step)
+                missed = self.rows @ self.whitened(shown - numbers) - jacobian @ moved
+                self.missed.append((float(missed @ missed), float(moved @ moved)))
                 decrease = self.iterates[-1]["objective"] - iterate["objective"]
-                if decrease > DECREASE * gain(jacobian, residual, white, tried - white):
+                if decrease > DECREASE * gain(jacobian, residual, white, moved):
                     break
                 if step <= SHORTEST:
-                    return Gaussian(white, jacobian, promised, combinations)
+                    return posterior
                 step *= 0.5
-            white, numbers = tried, shown
+            white, numbers = white + moved, shown
             self.iterates.append(iterate)
 
-    def corrected(self, posterior: Gaussian, numbers: Floats, runs: int, scatter: Floats) -> Gaussian:
-        """From what another flow found, whose derivatives are corrected by at most so many runs of this one.
-
-        numbers: of a run at its answer [M].
-
-        Each run moves on by a Gauss-Newton step, half as long after one by which J has not fallen. It adds to G what
-        makes it true of this step, a matrix of rank one (Broyden, A class of methods for solving nonlinear simultaneous
-        equations, Math. Comp. 19 (1965) 577-593):
-
-            G <- G + k e dw^T / |dw|^2,    e = L^-1 dF - G dw,    k = max(0, 1 - E|n|^2 / |e|^2)
-
-        k, James and Stein's shrinkage, leaves out what the scatter n of two runs explains. scatter: C [M, M];
-        posterior: its combinations are those of this objective. The widths are those of `doubted` derivatives.
-        """
-        jacobian = np.linalg.solve(self.change.T, posterior.jacobian)
+    def doubt(self, scatter: Floats) -> float:
+        """Mean of |e|^2 / |dw|^2 over the steps, without what two runs differ by with the `scatter` [M, M] of each."""
         whitened = self.rows @ self.whitened(self.whitened(scatter).T).T
         noise = 2.0 * float((whitened * self.rows).sum())
-        white, step, wrong = posterior.mean, 1.0, list[float]()
-        self.iterates.append(self.iterate(white, numbers, 0.0))
-        lowest = self.iterates[0]["objective"]
-        while True:
-            residual = self.rows @ self.whitened(numbers - self.target)
-            proposed = linear_mean(jacobian, white, residual)
-            promised = gain(jacobian, residual, white, proposed - white)
-            if promised < CONVERGED or len(self.iterates) > runs:
-                doubt = float(np.mean(wrong or 0.0))
-                return doubted(Gaussian(white, jacobian, promised, posterior.combinations), doubt)
-            moved = step * (proposed - white)
-            shown, iterate = self.evaluated(white + moved, step)
-            self.iterates.append(iterate)
-            missed = self.rows @ self.whitened(shown - numbers) - jacobian @ moved
-            share = max(0.0, 1.0 - noise / float(missed @ missed))
-            jacobian = jacobian + share * np.outer(missed, moved) / float(moved @ moved)
-            wrong.append(share * float(missed @ missed) / float(moved @ moved))
-            if iterate["objective"] < lowest:
-                white, numbers, lowest = white + moved, shown, iterate["objective"]
-            else:
-                step *= 0.5
+        return float(np.mean([max(0.0, missed - noise) / moved for missed, moved in self.missed] or 0.0))
 
 
-def doubted(posterior: Gaussian, wrong: float) -> Gaussian:
+def doubted(posterior: Gaussian, wrong: float, directions: Floats) -> Gaussian:
     """A posterior whose derivatives are off by errors E with E|E dw|^2 = `wrong` |dw|^2, as its steps have shown.
 
-    The errors are taken to be random and in proportion to G along each of its singular directions. Where the truth lies
-    w_t - w away, E (w_t - w) is an error of the combination U_k^T besides its own, which is 1:
+    Where the truth lies w_t - w away, E (w_t - w) is an error of the combination U_k^T besides its own, which is 1. E
+    is taken to be random, of a size along U_k in proportion to s_k^(1/2), and to act along the `directions` D [V, W] in
+    which the prior varies:
 
-        s_k^2 <- s_k^2 / (1 + wrong tr(cov w) s_k^2 / sum s^2)
+        s_k^2 <- s_k^2 / (1 + wrong tr(D cov(w) D^T) s_k / sum s)
 
-    So a direction that is itself uncertain is not known exactly, however small the noise is.
+    So a direction that is itself uncertain is not known exactly, however small the noise is. The exponent is measured:
+    derivatives on two sizes of cells differ so in the problem `gully`.
     """
     left, values, rest = np.linalg.svd(posterior.jacobian, full_matrices=False)
-    spread = len(posterior.mean) - float((posterior.removed**2).sum())
-    share = values**2 / max(float(values @ values), np.finfo(np.float64).tiny)
+    spread = len(directions) - float(((directions @ posterior.removed) ** 2).sum())
+    share = values / max(float(values.sum()), np.finfo(np.float64).tiny)
     return replace(posterior, jacobian=left * (values / np.sqrt(1.0 + wrong * spread * share)) @ rest)
 
 

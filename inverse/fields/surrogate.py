@@ -47,6 +47,10 @@ class SurrogateFlow(WhiteFlow):
         self.forward = GnsForward(model, problem, observation, band)
         self.begun = lru_cache(maxsize=64)(self.begin)
 
+    @property
+    def reverses_combinations(self) -> bool:
+        return True
+
     def begin(self, seed: int) -> tuple[InitialState, list[Enter]]:
         """The initial state of a jitter seed at the medians of the prior, and how each field enters it."""
         initial = self.forward.begin(replace(self.problem.scene, seed=seed))
@@ -173,7 +177,9 @@ def leading(problem: Problem, target: Target, model: Path | None = None) -> tupl
         return None, "the problem asks for none"
     if asked is Surrogate.COARSE:
         scene = problem.scene
-        coarse = replace(problem, scene=scene.with_cell(2.0 * scene.domain.cell))
+        # Flows on larger cells scatter more, and cost a sixteenth.
+        optimiser = replace(problem.optimiser, seeds=2 * problem.optimiser.seeds)
+        coarse = replace(problem, scene=scene.with_cell(2.0 * scene.domain.cell), optimiser=optimiser)
         return WhiteFlow(coarse, observation), "it is the MPM on cells twice as large"
     weights = model_path(model or shipped(scene))
     lacks, simulator = "", checkpoint.load(weights).simulator
