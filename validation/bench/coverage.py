@@ -114,16 +114,11 @@ def bench(
 ) -> str:
     """Solve twin experiments with truths from the prior, side by side, each on one thread.
 
-    Parameters
-    ----------
-    twins
-        Of each family, in place of its own number.
-    only
-        Families of `coverage.toml` to solve; the page has all that there are in KEEP.
-    model
-        Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
-    jobs
-        Processes that solve a twin each; one per processor unless given.
+    Args:
+        twins: Of each family, in place of its own number.
+        only: Families of `coverage.toml` to solve; the page has all that there are in KEEP.
+        model: Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
+        jobs: Processes that solve a twin each; one per processor unless given.
     """
     if unknown := [name for name in only if name not in FAMILIES]:
         raise InputError(f"expected a family: {suggestion(unknown[0], FAMILIES)}", where=unknown[0], key="--only")

@@ -115,10 +115,8 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
 
     Raises InputError for an experiment that cannot be read.
 
-    Parameters
-    ----------
-    experiments
-        Folder that holds a folder for each experiment; those that ship unless given.
+    Args:
+        experiments: Folder that holds a folder for each experiment; those that ship unless given.
     """
     read = read_experiments(experiments)
     with kept(keep) as folder:

@@ -97,10 +97,8 @@ Mounds = Mapping[tuple[float, float], Mapping[str, float]]
 def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     """Compare models with the MPM on fine cells; some twenty minutes, most of them for the references.
 
-    Parameters
-    ----------
-    model
-        A model's file or the name of one that ships, once or more often; all that ship unless given.
+    Args:
+        model: A model's file or the name of one that ships, once or more often; all that ship unless given.
     """
     paths = {path: gns.load(path).settings.dimension for path in [model_path(file) for file in model] or models()}
     with kept(keep) as folder:

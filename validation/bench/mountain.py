@@ -191,17 +191,12 @@ def bench(
 ) -> str:
     """Measure slides of kilometres on rasters of some 300,000 posts: how far, how fast, at what price.
 
-    Parameters
-    ----------
-    data
-        Folder of the comparison, with a folder for each case, or of one case: terrain, release, parameters and peaks of
-        other codes.
-    case
-        Those to measure.
-    cells
-        Edges of the grid's cells [m], coarse ones first; unless given, of each case its own.
-    slide
-        Folder of avaSlide (AvaFrame): its raster and its release; unless given it is left out.
+    Args:
+        data: Folder of the comparison, with a folder for each case, or of one case: terrain, release, parameters and
+            peaks of other codes.
+        case: Those to measure.
+        cells: Edges of the grid's cells [m], coarse ones first; unless given, of each case its own.
+        slide: Folder of avaSlide (AvaFrame): its raster and its release; unless given it is left out.
     """
     require(all(0.5 <= cell <= 10.0 for cell in cells), "--cells", "edges from 0.5 to 10 m", list(cells))
     require(set(case) <= set(CASES), "--case", f"some of {', '.join(CASES)}", list(case))

@@ -180,10 +180,8 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
     A result is kept in KEEP/NAME, one with the surrogate in KEEP/NAME-gns, one without in KEEP/NAME-none, until the
     problem or the surrogate's weights change. Raises WorkFailed, once the page is written, where one could not be run.
 
-    Parameters
-    ----------
-    only
-        Solve these alone; the page has all that there are.
+    Args:
+        only: Solve these alone; the page has all that there are.
     """
     names = [name for family in FAMILIES for name in family.problems]
     if unknown := [name for name in only if name not in names]:

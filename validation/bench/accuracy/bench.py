@@ -184,12 +184,9 @@ def selected(dimension: int, tolerance: float, resolutions: Sequence[MeasuredRes
 def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu") -> str:
     """Try --tolerance on scenes that it was not measured on.
 
-    Parameters
-    ----------
-    ship
-        Measure mpm/resolution.toml instead, which takes longer.
-    arch
-        Of the runs, as of `mpm.run`; seconds are the processor's with the default alone.
+    Args:
+        ship: Measure mpm/resolution.toml instead, which takes longer.
+        arch: Of the runs, as of `mpm.run`; seconds are the processor's with the default alone.
     """
     with kept(keep) as folder:
         store = RunStore(folder, partial(simulate_many, arch=arch))

@@ -158,12 +158,9 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
 
     What is wrong with a red row fails the command, once the page is written.
 
-    Parameters
-    ----------
-    rows
-        Names of rows of `rows.toml`; all unless given.
-    precision
-        Of the rows.
+    Args:
+        rows: Names of rows of `rows.toml`; all unless given.
+        precision: Of the rows.
     """
     chosen, columns, safety = read_rows(rows), fronts(), slopes.factors(slopes.KNOWN + slopes.WITHOUT_DILATION)
     flows = run(chosen, precision)
