@@ -156,11 +156,8 @@ def bodies_of(sketch: Numbers, sand: Material) -> tuple[tuple[Mass, ...], float]
     bodies, width = sketch["bodies"], sketch["width"]
     shares, sizes = sum(body.get("share", 1.0) for body in bodies), list[tuple[float, ...]]()
     for body in bodies:
-        volume, aspect, breadth = (
-            sketch["volume"] * body.get("share", 1.0) / shares,
-            body["aspect"],
-            body.get("breadth"),
-        )
+        volume = sketch["volume"] * body.get("share", 1.0) / shares
+        aspect, breadth = body["aspect"], body.get("breadth")
         length = (volume / (aspect * breadth)) ** (1 / 3) if breadth else math.sqrt(volume / (width or 1.0) / aspect)
         sizes.append((length, aspect * length, breadth * length if breadth else width))
         if min(sizes[-1][:2]) < sketch["least_side"] or sizes[-1][2] > WIDEST:
@@ -308,10 +305,9 @@ def apart(baffles: list[Baffle], front: float, gap: float) -> bool:
     """Whether baffles keep a `gap` [m] from each other in plan, and stand before the `front` of the material [m]."""
     around = boxes(tuple(baffles), len(baffles[0].size))
     level = plan_axes(around.shape[-1])
+    ahead = bool((around[:, 0, 0] >= front + 0.5 * gap).all())
     distances = (np.maximum(a[0] - b[1], b[0] - a[1])[level].max() for a, b in combinations(around, 2))
-    return bool((around[:, 0, 0] >= front + 0.5 * gap).all()) and all(
-        distance >= gap - 1.0e-9 for distance in distances
-    )
+    return ahead and all(distance >= gap - 1.0e-9 for distance in distances)
 
 
 def variant(stream: Stream, scene: Scene) -> Scene:

@@ -265,16 +265,13 @@ def write_raster(
     (height, width), (east, north) = rows.shape, corner
     profile: dict[str, Any] = {"driver": "GTiff", "compress": "deflate", "predictor": 3, "count": 1, "dtype": "float32"}
     # To the east along a row, to the south from row to row.
-    place = {
-        "nodata": np.nan,
-        "transform": rasterio.Affine(cell, 0.0, east, 0.0, -cell, north + height * cell),
-        "crs": crs,
-    }
+    transform = rasterio.Affine(cell, 0.0, east, 0.0, -cell, north + height * cell)
+    profile |= {"nodata": np.nan, "transform": transform, "crs": crs}
     try:
         with warnings.catch_warnings(), replacing(path) as part:
             # A box in its own coordinates has no reference system, which is no mistake.
             warnings.simplefilter("ignore")
-            with rasterio.open(part, "w", width=width, height=height, **profile, **place) as raster:
+            with rasterio.open(part, "w", width=width, height=height, **profile) as raster:
                 raster.write(rows, 1)
                 raster.set_band_description(1, name)
                 raster.set_band_unit(1, unit)

@@ -90,11 +90,9 @@ def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     """
     baffles = []
     for baffle in scene.baffles:
-        friction, box = (
-            scene.friction_of(baffle),
-            {key: getattr(baffle, key) for key in ("lower", "size", "turned_deg")},
-        )
+        friction = scene.friction_of(baffle)
         contact = "no-slip" if friction == ROUGH else "coulomb"
+        box = {key: getattr(baffle, key) for key in ("lower", "size", "turned_deg")}
         baffles.append(Solid(**box, friction=coefficient(friction, 0.0), contact=contact))
     others = [solid if solid.turbulence is None else replace(solid, turbulence=None) for solid in scene.solids]
     return (*baffles, *others), tuple(keyed(scene, "baffles", "solids"))

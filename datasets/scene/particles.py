@@ -252,9 +252,8 @@ def initial_volumes(scene: Scene) -> Floats:
     if all(field.quantity != THICKNESS for field in scene.fields):
         return volumes
     shares = zip(stretches(scene), mass_counts(scene), strict=True)
-    return np.asarray(
-        volumes * np.concatenate([np.broadcast_to(stretch / stretch.mean(), count) for stretch, count in shares])
-    )
+    factors = [np.broadcast_to(stretch / stretch.mean(), count) for stretch, count in shares]
+    return np.asarray(volumes * np.concatenate(factors))
 
 
 def particle_volumes(scene: Scene, count: int) -> Floats:
