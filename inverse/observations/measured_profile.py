@@ -135,12 +135,9 @@ def checked_profile(
         area = float(pieces.sum() if profile.gaps is None else pieces[~profile.gaps].sum())
         low, high = AREA[heights]
         low = low if profile.gaps is None and profile.ends is None else 0.0
-        require(
-            low * released <= area <= high * released,
-            "",
-            f"{low:g} to {high:g} times the area that was released, {released:.4g} m^2, for {heights} heights",
-            f"{area:.4g} m^2, {area / released:.3g} times; unit, datum and heights say what stands in the file",
-        )
+        expected = f"{low:g} to {high:g} times the area that was released, {released:.4g} m^2, for {heights} heights"
+        got = f"{area:.4g} m^2, {area / released:.3g} times; unit, datum and heights say what stands in the file"
+        require(low * released <= area <= high * released, "", expected, got)
     return profile
 
 

@@ -36,6 +36,9 @@ WITHOUT = {
     "consolidation": "its water does not flow",
 }
 """What a material does without a constant that another one requires."""
+OWNERS = {"thickness": "a mass of kind layer", "discharge_factor": "an inflow"}
+OWNERS |= dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
+"""What has an attribute; other attributes are those of surfaces."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,10 +101,7 @@ class Kind:
         if self.form == "masses[].height" and (kind := self.holder(scene).kind) != "box":
             raise InputError(f"expected a mass of kind box, got a {kind}")
         if self.axis is None and not isinstance(getattr(self.holder(scene), self.key, 0.0), float | int):
-            masses = dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
-            owner = {"thickness": "a mass of kind layer", "discharge_factor": "an inflow", **masses}.get(
-                self.key, "a surface"
-            )
+            owner = OWNERS.get(self.key, "a surface")
             raise InputError(f"expected {owner} whose {self.key} is a number in the scene, its own is none")
 
     def idle(self, scene: Scene) -> str:
