@@ -264,9 +264,8 @@ def uniformity(twins: Sequence[Twin]) -> float:
 
 def ranks(twins: Sequence[Twin]) -> float:
     """Least p-value over the numbers of their ranks, if these were uniform, times how many there are."""
-    counts = [
-        np.histogram([twin.below[name] for twin in twins], bins=BINS, range=(0.0, 1.0))[0] for name in twins[0].below
-    ]
+    by_name = ([twin.below[name] for twin in twins] for name in twins[0].below)
+    counts = [np.histogram(below, bins=BINS, range=(0.0, 1.0))[0] for below in by_name]
     return min(1.0, len(counts) * float(min(chisquare(count).pvalue for count in counts)))
 
 

@@ -241,22 +241,14 @@ def section(label: str, experiment: Experiment, predictions: Sequence[Predicted]
             row[f"thickest at {at:g} m [m]"] = f"{series.max():.3f} at {predicted.time[series.argmax()]:.1f} s"
         rows.append({**row, "farthest front [m]": f"{predicted.front.max():.1f}"})
     half = len(predictions) // 2
-    moved = [
-        abs(fine.arrivals / coarse.arrivals - 1.0)
-        for coarse, fine in zip(predictions[:half], predictions[half:], strict=True)
-    ]
+    both = zip(predictions[:half], predictions[half:], strict=True)
+    moved = [abs(fine.arrivals / coarse.arrivals - 1.0) for coarse, fine in both]
     said = f"Half the cell moves the arrivals by at most {percent(float(np.max(moved)))}."
-    choices = [
-        f"- {assumption['what']}: {assumption['choice']}; {assumption['reason']}."
-        for assumption in experiment.assumptions
-    ]
-    variants = [
-        f"- {variant.name}: {variant.source}."
-        for prediction in experiment.predictions
-        for variant in prediction.variants
-    ]
+    variants = [variant for prediction in experiment.predictions for variant in prediction.variants]
+    lines = [f"- {variant.name}: {variant.source}." for variant in variants]
+    lines += [f"- {made['what']}: {made['choice']}; {made['reason']}." for made in experiment.assumptions]
     parts = [f"### {label}", f"{experiment.title}. {experiment.what}", tables([rows]), said, f"![{label}]({picture})"]
-    return "\n\n".join([*parts, "\n".join([*variants, *choices])])
+    return "\n\n".join([*parts, "\n".join(lines)])
 
 
 def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float]:

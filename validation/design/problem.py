@@ -154,16 +154,11 @@ class DesignProblem(_Keys):
     """Unknown fields, each with draws of its posterior, shape [S, K]; of one draw all are together."""
 
     def __post_init__(self) -> None:
-        groups = {"variables": self.variables, "uncertain": self.uncertain}
-        for group, members in groups.items():
-            require(
-                len(members) > 0 or (group == "uncertain" and bool(self.fields)), group, "at least one number", "none"
-            )
-        by_key = {
-            f"{group}[{index}]": parameter
-            for group, members in groups.items()
-            for index, parameter in enumerate(members)
-        }
+        by_key = dict[str, Parameter]()
+        for group, members in {"variables": self.variables, "uncertain": self.uncertain}.items():
+            some = len(members) > 0 or (group == "uncertain" and bool(self.fields))
+            require(some, group, "at least one number", "none")
+            by_key |= {f"{group}[{index}]": parameter for index, parameter in enumerate(members)}
         for key, parameter in by_key.items():
             require(parameter.initial is None, f"{key}.initial", "no start of a search", parameter.initial)
             require(not parameter.is_field, f"{key}.spacing", "a number", "a field")
@@ -228,9 +223,8 @@ class DesignProblem(_Keys):
 
     def named(self, design: Row) -> dict[str, float]:
         """The variables by name of a design [K] in fractions of the ranges."""
-        return {
-            variable.name: float(value) for variable, value in zip(self.variables, self.values(design), strict=True)
-        }
+        both = zip(self.variables, self.values(design), strict=True)
+        return {variable.name: float(value) for variable, value in both}
 
     def values(self, designs: Matrix) -> Matrix:
         """The variables of designs [..., K] in fractions of their ranges, in their own units, shape [..., K]."""
@@ -239,9 +233,8 @@ class DesignProblem(_Keys):
 
     def price(self, designs: Matrix) -> Row:
         """c . d of designs [..., K] in fractions of their ranges, shape [...]; 0 without a cost."""
-        return np.asarray(
-            self.values(designs) @ np.array([self.cost.get(variable.name, 0.0) for variable in self.variables])
-        )
+        prices = np.array([self.cost.get(variable.name, 0.0) for variable in self.variables])
+        return np.asarray(self.values(designs) @ prices)
 
     def draws(self, count: int, rng: np.random.Generator) -> Matrix:
         """Draws of what is uncertain, in fractions of the ranges: one in each of `count` parts, shape [count, Q].

@@ -192,8 +192,7 @@ def draw(forecast: Forecast, path: Path) -> None:
             right.legend()
         else:
             x, z = (axis + first for axis, first in zip(forecast.maps.grid.axes, forecast.maps.corner, strict=True))
-            image = right.pcolormesh(
-                x, z, forecast.covered["depth"].T, cmap="YlOrRd", vmin=0.0, vmax=1.0, shading="nearest"
-            )
+            covered = forecast.covered["depth"].T
+            image = right.pcolormesh(x, z, covered, cmap="YlOrRd", vmin=0.0, vmax=1.0, shading="nearest")
             right.figure.colorbar(image, label="probability that the flow covers it")
             right.set(xlabel="x, easting [m]", ylabel="z, northing [m]", aspect="equal")

@@ -115,10 +115,8 @@ def nearer(led: Loop, whole: Conclusion) -> Conclusion:
     By all runs of both. What is excluded over the whole box remains excluded.
     """
     guided = judged(replace(led, runs=(*led.runs, *whole.search.runs[len(led.runs) :])).informed())
-    ratios = [
-        math.inf if conclusion.answers[0].fit is None else conclusion.answers[0].fit.ratio
-        for conclusion in (guided, whole)
-    ]
+    fits = (conclusion.answers[0].fit for conclusion in (guided, whole))
+    ratios = [math.inf if fit is None else fit.ratio for fit in fits]
     return guided if whole.verdict is Verdict.UNCONFIRMED and ratios[0] < ratios[1] else whole
 
 

@@ -112,9 +112,8 @@ def verdict(row: HardCase, flow: Trajectory | WorkFailed, other: Trajectory | Wo
         return CheckedCase(row=row, blown_up=str(flow))
     if not (numbers := finite(flow)).ok:
         return CheckedCase(row=row, kept=(numbers,))
-    kept = [
-        finding for invariant in (*ALWAYS, *(DEPOSIT if row.rests else ())) if (finding := invariant(flow)) is not None
-    ]
+    invariants = (*ALWAYS, *(DEPOSIT if row.rests else ()))
+    kept = [finding for invariant in invariants if (finding := invariant(flow)) is not None]
     if row.rings:
         kept = [finding for finding in kept if finding.check != "energy"]
     if row.energy is not None:
@@ -188,10 +187,8 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
 def conclusion(verdicts: Sequence[CheckedCase], columns: Fronts, safety: slopes.Factors) -> list[str]:
     red = [case.row.name for case in verdicts if case.failures]
     exact = [not case.failures for case in verdicts if case.row.exact]
-    rise, balance = (
-        max(one.value for case in verdicts for one in case.kept if one.check == check)
-        for check in ("energy", "momentum")
-    )
+    kept = [finding for case in verdicts for finding in case.kept]
+    rise, balance = (max(one.value for one in kept if one.check == check) for check in ("energy", "momentum"))
     return [
         f"{len(verdicts) - len(red)} of {len(verdicts)} hard cases pass{'; **red**: ' * bool(red)}{', '.join(red)}.",
         f"{sum(exact)} of {len(exact)} cases with an exact solution agree with it.",
@@ -207,9 +204,8 @@ def row_of(case: CheckedCase) -> Row:
     required = "; ".join(f"{finding.check} {finding.range} {finding.unit}".strip() for finding in case.own)
     value = [", ".join(emphasised(f"{finding.value:.4g}", finding.ok) for finding in case.own)] if case.own else []
     kept = {finding.check: finding for finding in case.kept}
-    wrong = [
-        f"**{text}**" for text in (case.blown_up, *(str(finding) for finding in case.kept if not finding.ok)) if text
-    ]
+    texts = (case.blown_up, *(str(finding) for finding in case.kept if not finding.ok))
+    wrong = [f"**{text}**" for text in texts if text]
     return {
         "scene": f"`{case.row.name}`: {case.row.what}",
         "required": required,
