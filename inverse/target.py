@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from datasets.errors import InputError, keyed, naming
+from datasets.errors import keyed, naming, require
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
@@ -62,10 +62,9 @@ def read_run(problem: Problem) -> Trajectory:
     path = problem.folder / str(problem.target.trajectory)
     run = Trajectory.load(path)
     with naming(path):
-        if run.scene.dimension != problem.scene.dimension:
-            expected = f"a {problem.scene.dimension}D trajectory as the scene's"
-            raise InputError(f"expected {expected}, got {run.scene.dimension}D")
+        dimension, its = problem.scene.dimension, run.scene.dimension
+        require(its == dimension, "", f"a {dimension}D trajectory as the scene's", f"{its}D")
         count, got = particle_count(problem.scene), run.positions.shape[1]
-        if got != count and any(operator.every_particle for operator in problem.operators):
-            raise InputError(f"expected the {count} particles of the problem's scene for a deposit, got {got}")
+        fits = got == count or not any(operator.every_particle for operator in problem.operators)
+        require(fits, "", f"the {count} particles of the problem's scene for a deposit", got)
     return run

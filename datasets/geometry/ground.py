@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.scene.grid_field import Grid
 from datasets.scene.parts import Domain, SceneLayout, Solid, coefficient
 
@@ -104,9 +104,9 @@ def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], F
     axes: list[Floats] = []
     for number, (axis, at) in enumerate(zip(plan_axes(domain.dimension), given, strict=True)):
         length = domain.size[axis]
-        if at[0] > slack[number] + TOUCHING or at[-1] < length - slack[number] - TOUCHING:
-            expected = f"expected ground over the whole box, {'xyz'[axis]} from 0 to {length:g} or within a cell of it"
-            raise InputError(f"{expected}, got {at[0]:g} to {at[-1]:g}", key=f"{key}.{name}")
+        expected = f"ground over the whole box, {'xyz'[axis]} from 0 to {length:g} or within a cell of it"
+        whole = at[0] <= slack[number] + TOUCHING and at[-1] >= length - slack[number] - TOUCHING
+        require(bool(whole), f"{key}.{name}", expected, f"{at[0]:g} to {at[-1]:g}")
         at, h, place = extended(at, np.moveaxis(heights, number, 0), length, BEYOND * domain.cell)
         axes.append(at)
         heights, friction = np.moveaxis(h, 0, number), np.take(friction, place, axis=number)

@@ -11,7 +11,7 @@ import numpy as np
 from datasets.flow.trajectory import Trajectory
 from inverse.observations import ArrivalSettings, FrontSettings, GaugesSettings
 from mpm import ALL, AT_REST
-from validation.bench.page import Keep, Out, Row, emphasised, percent, signed, tables, write_page
+from validation.bench.page import Keep, Out, Row, emphasised, percent, tables, write_page
 from validation.experiments.experiment import (
     FOLDER,
     Angle,
@@ -300,8 +300,9 @@ def conclusion(firsts: Sequence[CaseScore], angles: Sequence[Inferred]) -> list[
         f"With independently measured angles of friction and nothing fitted, {sum(score.agrees for score in scores)} of"
         f" {len(scores)} computed lengths lie within {CLOSE:g} spreads of the measured ones; the largest error is"
         f" {largest.error:+.1f} spreads ({largest.label}).",
-        f"Fronts are {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average, {signed(min(far))} to"
-        f" {signed(max(far))}; finer cells move them by at most {percent(moved)}.",
+        f"Fronts are {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average,"
+        f" {percent(min(far), '+.1f')} to {percent(max(far), '+.1f')}; finer cells move them by at most"
+        f" {percent(moved)}.",
         f"The angle inferred from a front is {abs(np.mean(off)):.1f}° {'above' if sum(off) > 0.0 else 'below'} the"
         f" measured one on average, {min(off):+.1f}° to {max(off):+.1f}°; the ranges of"
         f" {sum(angle.agrees for angle in inferred)} of {len(inferred)} cases overlap.",
