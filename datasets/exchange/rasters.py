@@ -29,15 +29,8 @@ UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)
 """Values that stand for no data by custom, as they are in the file."""
 CLIFF, STEEP = 500.0, 10.0
 """Height of a step [m], and over the cell, beyond which values without any between are no ground: -999, 9999, 0."""
-OTHERS = {
-    ".img": "HFA",
-    ".bil": "EHdr",
-    ".flt": "EHdr",
-    ".vrt": "VRT",
-    b"DSBB": "GSBG",
-    b"DSRB": "GS7BG",
-    b"DSAA": "GSAG",
-}
+OTHERS: dict[str | bytes, str] = {".img": "HFA", ".bil": "EHdr", ".flt": "EHdr", ".vrt": "VRT"}
+OTHERS |= {b"DSBB": "GSBG", b"DSRB": "GS7BG", b"DSAA": "GSAG"}
 """GDAL's drivers by the ending of a file or, of a grid of Surfer, by its beginning; other files are GeoTIFF or ESRI
 ASCII rasters."""
 ELSEWHERE = re.compile(rb"/vsi|://|pixelfunction", re.IGNORECASE)
