@@ -39,13 +39,9 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
             dof = np.minimum(target.dof, 1e9)
             errors = errors * np.sqrt(dof / rng.chisquare(dof))
         target = dataclasses.replace(target, values=target.values + errors)
-    return dataclasses.replace(
-        target,
-        front=measures.front(run.positions[-1], run.volumes),
-        cell=run.scene.domain.cell,
-        deposit=run.positions[-1],
-        truth=truth or None,
-    )
+    deposit, cell = run.positions[-1], run.scene.domain.cell
+    front = measures.front(deposit, run.volumes)
+    return dataclasses.replace(target, front=front, cell=cell, deposit=deposit, truth=truth or None)
 
 
 def part_names(problem: Problem) -> list[str]:

@@ -173,13 +173,9 @@ def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> 
             gap -= step
         if gap <= 1e-6:
             ends[number] = face
-    points, within = np.array(rows), (ends[0], ends[1])
-    return MeasuredProfile(
-        x=points[:, 0],
-        height=points[:, 1],
-        gaps=np.array(open_rows) if any(open_rows) else None,
-        ends=None if within == (0.0, scene.domain.size[0]) else within,
-    )
+    (x, height), missing = np.array(rows).T, np.array(open_rows) if any(open_rows) else None
+    within = None if ends == [0.0, scene.domain.size[0]] else (ends[0], ends[1])
+    return MeasuredProfile(x=x, height=height, gaps=missing, ends=within)
 
 
 def faces(scene: Scene) -> list[tuple[float, float]]:

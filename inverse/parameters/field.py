@@ -60,14 +60,10 @@ BYTES = 24
 BED = "friction"
 """What varies over a terrain: the last part of `solids[0].friction`."""
 UNITS = {FRICTION: "deg", THICKNESS: "m", BED: ""} | dict.fromkeys(VELOCITIES, "m/s")
-LABELS = {FRICTION: "friction", THICKNESS: "thickness", BED: "friction of the bed"} | {
-    name: f"velocity along {name[-1]}" for name in VELOCITIES
-}
-BOUNDED = {
-    FRICTION: "friction, in (0, 90) degrees",
-    THICKNESS: "thickness, above 0 m",
-    BED: "coefficient, of at least 0",
-}
+LABELS = {FRICTION: "friction", THICKNESS: "thickness", BED: "friction of the bed"}
+LABELS |= {name: f"velocity along {name[-1]}" for name in VELOCITIES}
+BOUNDED = {FRICTION: "friction, in (0, 90) degrees", THICKNESS: "thickness, above 0 m"}
+BOUNDED |= {BED: "coefficient, of at least 0"}
 """Quantities that are impossible beyond some values."""
 MOST_ZONES = 1000
 DIGITS, UNEVEN = 9, 1.0e-7

@@ -29,12 +29,9 @@ Input = Callable[[Any, InitialState, Tensor], InitialState]
 """A kind, an initial state and a value -> the initial state with this value, differentiable in it."""
 T = TypeVar("T", float, Tensor)
 UP = 1
-WITHOUT = {
-    "softening_length": "it never falls to a residual strength",
-    "friction_limit_deg": "its friction does not grow with the rate",
-    "permeability": "its water does not flow",
-    "consolidation": "its water does not flow",
-}
+WITHOUT = dict.fromkeys(("permeability", "consolidation"), "its water does not flow")
+WITHOUT |= {"softening_length": "it never falls to a residual strength"}
+WITHOUT |= {"friction_limit_deg": "its friction does not grow with the rate"}
 """What a material does without a constant that another one requires."""
 OWNERS = {"thickness": "a mass of kind layer", "discharge_factor": "an inflow"}
 OWNERS |= dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
