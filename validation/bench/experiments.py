@@ -171,12 +171,8 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
         return [], None
     fine = run(1, [first])
     deg = first.deg + (extent.value - quantity(extent, fine[first])) / slope
-    inferred = Inferred(
-        label=f"{experiment.name}, {case.name}",
-        own=experiment.angles[0] if readings else None,
-        deg=deg,
-        half_width_deg=abs(CLOSE * extent.spread / slope),
-    )
+    label, own = f"{experiment.name}, {case.name}", experiment.angles[0] if readings else None
+    inferred = Inferred(label=label, own=own, deg=deg, half_width_deg=abs(CLOSE * extent.spread / slope))
     again = replace(first, deg=deg)
     if not readings and case.measured[1:]:
         # Where no angle was measured, what else was is held against a run at the inferred one.
@@ -185,7 +181,7 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
     def score(measured: Measured, reading: Reading) -> CaseScore:
         computed = [quantity(measured, flows[reading]) if reading in flows else math.nan for flows in (coarse, fine)]
         return CaseScore(
-            label=f"{inferred.label}, {measured.quantity}",
+            label=f"{label}, {measured.quantity}",
             measured=measured,
             angle=str(reading),
             independent=bool(readings),

@@ -163,13 +163,9 @@ def report(forecast: Forecast, command: str) -> str:
         }
         for name, number in forecast.as_json()["numbers"].items()
     ]
-    parts = [
-        "# Forecast",
-        "\n".join(f"- {line}" for line in summary(forecast)),
-        "![fronts of the flows; profile or map of probability](forecast.png)",
-        markdown_table(rows),
-        f"`{command}`",
-    ]
+    lines = "\n".join(f"- {line}" for line in summary(forecast))
+    picture = "![fronts of the flows; profile or map of probability](forecast.png)"
+    parts = ["# Forecast", lines, picture, markdown_table(rows), f"`{command}`"]
     if forecast.maps is not None:
         parts.append(f"A cell of `probability-*.tif` is covered by more than {forecast.maps.threshold:.3g} m.")
     return "\n\n".join(parts) + "\n"

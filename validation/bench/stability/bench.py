@@ -24,12 +24,8 @@ from validation.bench.stability import quantities, slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
 
 FOLDER = Path(__file__).parent
-COLUMNS = {
-    "energy": ("energy gained", ".0e"),
-    "momentum": ("momentum error", ".0e"),
-    "volume": ("volume", "+.1%"),
-    "slope": ("slope [°]", ".1f"),
-}
+COLUMNS = {"energy": ("energy gained", ".0e"), "momentum": ("momentum error", ".0e")}
+COLUMNS |= {"volume": ("volume", "+.1%"), "slope": ("slope [°]", ".1f")}
 """Checks that have a column of their own, with its heading and form."""
 ROWS = read_toml(FOLDER / "rows.toml")
 RELEASED = {
