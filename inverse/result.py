@@ -164,10 +164,8 @@ class Result:
         numbers = {"target": target.values, key: self.predicted}
         observation: dict[str, Any] = {name: plain(whole.scale * values) for name, values in numbers.items()}
         if len(whole.parts) > 1:
-            parts = [(part.name, part.observation.unit, part.numbers) for part in whole.parts]
-            observation["parts"] = [
-                {"name": name, "unit": unit, "first": span.start, "end": span.stop} for name, unit, span in parts
-            ]
+            rows = [(part.name, part.observation.unit, part.numbers.start, part.numbers.stop) for part in whole.parts]
+            observation["parts"] = [dict(zip(("name", "unit", "first", "end"), row, strict=True)) for row in rows]
             observation["deviation"] = np.asarray(whole.scale).tolist()
         if math.isfinite(target.front):
             observation["front"] = target.front

@@ -19,7 +19,7 @@ from datasets.flow.array_files import read_arrays
 from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.forces import forces_of
 from datasets.scene import Scene
-from datasets.scene.library import SCENES, find, read_scene, scene_from
+from datasets.scene.library import find, read_scene, scene_from
 from datasets.schema import Bounds, Record, from_mapping
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, check_parameters, with_kinds
@@ -281,14 +281,12 @@ def read_design(name: str | Path) -> DesignProblem:
         keys = dict(vars(file))
         if (posterior := keys.pop("posterior")) is not None:
             names, keys["samples"] = read_samples(path.parent / posterior)
-            ranges = zip(names, keys["samples"].min(axis=0), keys["samples"].max(axis=0), strict=True)
-            keys["uncertain"] += tuple(
-                Parameter(name=n, lower=float(low), upper=float(high)) for n, low, high in ranges
-            )
+            lower, upper = (end.tolist() for end in (keys["samples"].min(axis=0), keys["samples"].max(axis=0)))
+            ranges = zip(names, lower, upper, strict=True)
+            keys["uncertain"] += tuple(Parameter(name=name, lower=low, upper=high) for name, low, high in ranges)
         keys["fields"] = () if file.fields is None else read_fields(file.fields, path.parent)
         if isinstance(file.scene, str):
-            beside = path.parent / file.scene
-            keys["scene"] = read_scene(beside if file.scene.endswith(".toml") else find(file.scene, SCENES, "scene"))
+            keys["scene"] = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
         else:
             keys["scene"] = scene_from(file.scene, path.parent)
         if posterior is not None:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,18 +59,10 @@ def forecast_scene(
         key = "--threshold" if threshold is not None else "--pressure"
         raise InputError("expected a scene in 3D, a flow in 2D has no maps", key=key)
     names, samples, remarks = known_of(Path(result), asked)
+    options: dict[str, Any] = {"draws": draws, "model_error": model_error, "remarks": remarks}
     with kept(out) as folder:
-        forecast = predicted(
-            asked,
-            names,
-            samples,
-            RunStore(folder / "mpm", simulate, label="forecast-"),
-            draws=draws,
-            model_error=model_error,
-            threshold=threshold,
-            pressure=pressure,
-            remarks=remarks,
-        )
+        store = RunStore(folder / "mpm", simulate, label="forecast-")
+        forecast = predicted(asked, names, samples, store, threshold=threshold, pressure=pressure, **options)
         if out is not None:
             save(forecast, folder, f"python -m validation.forecast {result} {scene} --out {out}")
     return forecast

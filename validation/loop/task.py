@@ -86,12 +86,6 @@ class Task:
 
     def search(self, known: tuple[MpmRun, ...] = (), runs: tuple[MpmRun, ...] = ()) -> Loop:
         """The search by runs of the MPM; known: from other targets, `runs`: those that there are already."""
-        unknowns = len(self.problem.parameters)
-        return WaveSearch(
-            model=self,
-            knowledge=Inference(problem=self.problem, target=self.target, scatter=self.scatter),
-            seed=self.problem.optimiser.seed,
-            budget=self.problem.loop.budget(unknowns),
-            known=known,
-            runs=runs,
-        )
+        inference = Inference(problem=self.problem, target=self.target, scatter=self.scatter)
+        seed, budget = self.problem.optimiser.seed, self.problem.loop.budget(len(self.problem.parameters))
+        return WaveSearch(model=self, knowledge=inference, seed=seed, budget=budget, known=known, runs=runs)

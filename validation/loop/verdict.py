@@ -185,15 +185,9 @@ def answers_of(state: Loop, parts: Sequence[Part]) -> tuple[Answer, ...]:
     box, answers = state.knowledge.box, []
     for part in parts:
         checks = checks_of(state, part) or [state.every[int(np.argmin(distances(state.every, part)))]]
-        answers.append(
-            Answer(
-                parameters=box.at(part.point),
-                interval=box.at(part.interval),
-                weight=part.weight,
-                checks=tuple(checks),
-                fit=replace(fitted(state, checks, part.point), applied=state.knowledge.factor),
-            )
-        )
+        fit = replace(fitted(state, checks, part.point), applied=state.knowledge.factor)
+        place, ends = box.at(part.point), box.at(part.interval)
+        answers.append(Answer(parameters=place, interval=ends, weight=part.weight, checks=tuple(checks), fit=fit))
     return tuple(sorted(answers, key=lambda answer: not answer.confirmed))
 
 
