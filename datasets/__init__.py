@@ -24,22 +24,8 @@ from datasets.scene.library import read_scene, write_scene
 from datasets.scene.material import Material
 
 __version__ = "0.1.0"
-__all__ = [
-    "Baffle",
-    "Channel",
-    "Domain",
-    "Gate",
-    "InputError",
-    "Mass",
-    "Material",
-    "Scene",
-    "Solid",
-    "Stage",
-    "Trajectory",
-    "read_scene",
-    "read_trajectory",
-    "write_scene",
-]
+__all__ = ["Baffle", "Channel", "Domain", "Gate", "InputError", "Mass", "Material", "Scene", "Solid", "Stage"]
+__all__ += ["Trajectory", "read_scene", "read_trajectory", "write_scene"]
 
 
 def __dir__() -> list[str]:

@@ -201,9 +201,8 @@ def draw(path: Path, comparison: Comparison) -> None:
 
     figure = Figure(figsize=(11.0, 6.4), layout="constrained")
     (profile, front), (energy, apart) = figure.subplots(2, 2)
-    for label, figures, heights, line in zip(
-        comparison.labels, comparison.figures, comparison.heights, ("-", "--"), strict=True
-    ):
+    flows = zip(comparison.labels, comparison.figures, comparison.heights, ("-", "--"), strict=True)
+    for label, figures, heights, line in flows:
         profile.plot(comparison.stations, heights, line, label=label)
         front.plot(comparison.time, figures["front"][:-1], line, label=label)
         energy.plot(comparison.time, figures["kinetic"][:-1], line, label=label)

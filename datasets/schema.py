@@ -147,8 +147,7 @@ def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
     """
 
     def read(table: Any) -> T:
-        if not isinstance(table, dict):
-            raise InputError(f"expected a table, got {table!r}")
+        require(isinstance(table, dict), "", "a table", repr(table))
         keys = {kind: ["kind", *(field.name for field in fields(record))] for kind, record in kinds.items()}  # type: ignore[arg-type]
         users = {name: [kind for kind in kinds if name in keys[kind]] for name in table}
         for name in table:
@@ -157,8 +156,7 @@ def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
         if "kind" not in table:
             raise InputError("expected a value, the key is missing", key="kind")
         kind = table["kind"]
-        if kind not in kinds:
-            raise InputError(f"expected one of {', '.join(kinds)}, got {kind!r}", key="kind")
+        require(kind in kinds, "kind", f"one of {', '.join(kinds)}", repr(kind))
         for name in table:
             if kind not in users[name]:
                 raise InputError(f"expected it with kind {' or '.join(users[name])} alone, not with {kind}", key=name)

@@ -13,17 +13,12 @@ def main(problem: str, /, *, out: Path, forward: ForwardModel | None = None, mod
     Numbers are found by one forward model alone, so the verdict is "unconfirmed"; `python -m validation.loop` asks the
     MPM for its word. Fields are found by the MPM's adjoint, and checked by a run of it.
 
-    Parameters
-    ----------
-    problem
-        Path of a problem in TOML, or the name of a shipped one.
-    out
-        Folder for the results.
-    forward
-        What predicts the observation: the surrogate, unless the problem asks for none; the MPM, by an emulator of its
-        runs; or the MPM with the gradient of its adjoint.
-    model
-        Weights of the surrogate; unless given, those that ship for 2D or for 3D.
+    Args:
+        problem: Path of a problem in TOML, or the name of a shipped one.
+        out: Folder for the results.
+        forward: What predicts the observation: the surrogate, unless the problem asks for none; the MPM, by an emulator
+            of its runs; or the MPM with the gradient of its adjoint.
+        model: Weights of the surrogate; unless given, those that ship for 2D or for 3D.
     """
     # Imported here: torch takes seconds to load, and help has no use for it, nor a wrong problem for the solver.
     from inverse.problem import read_problem

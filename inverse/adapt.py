@@ -38,22 +38,14 @@ def main(
     --model OUT then uses it in `validation.loop`, `inverse` and `gns.rollout`. Running the same command again finishes
     what is missing.
 
-    Parameters
-    ----------
-    problem
-        Path of a problem in TOML, or the name of a shipped one.
-    out
-        Folder of the model and its data.
-    runs
-        Runs of the MPM, of which every fifth is held out.
-    minutes
-        Time to train [min]; the runs come on top.
-    model
-        The model to begin with, a file or a folder; unless given, the one that ships for 2D or for 3D.
-    jobs
-        Processes of the MPM side by side; one per processor unless given.
-    seed
-        Seed of the parameters, of the jitters and of the samples.
+    Args:
+        problem: Path of a problem in TOML, or the name of a shipped one.
+        out: Folder of the model and its data.
+        runs: Runs of the MPM, of which every fifth is held out.
+        minutes: Time to train [min]; the runs come on top.
+        model: The model to begin with, a file or a folder; unless given, the one that ships for 2D or for 3D.
+        jobs: Processes of the MPM side by side; one per processor unless given.
+        seed: Seed of the parameters, of the jitters and of the samples.
     """
     # Imported here: torch takes seconds to load, and help has no use for it.
     import torch

@@ -20,7 +20,7 @@ from scipy.stats import qmc
 from tqdm import tqdm
 
 from datasets.definitions.definition import DEPOSITS, Definition, Split, Storage, Stream
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.files import make_folder, read_json, write_json
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory, trajectory_files
@@ -88,8 +88,7 @@ def adapt(
         raise InputError("expected numbers, a surrogate knows no fields", where=asked.name, key="unknowns")
     require_predicted(asked)
     check(asked.scene_at(asked.initial), settings)
-    if runs < FEWEST:
-        raise InputError(f"expected at least {FEWEST} runs, of which two are held out, got {runs}", key="--runs")
+    require(runs >= FEWEST, "--runs", f"at least {FEWEST} runs, of which two are held out", runs)
     flows = definition(asked, runs, settings, seed=seed)
     entries = flows.entries(seed=seed)
     jobs = processors() if jobs is None else jobs

@@ -41,9 +41,7 @@ def write(result: Result, path: Path) -> None:
             return
         shown = chains(observation.scale * predictive(posterior, points, rng))
         for name, values, axes in (("posterior_predictive", shown, CHAINS), ("observed_data", observed, ())):
-            parts = {
-                member.name: (values[..., member.numbers], member.observation.unit) for member in observation.parts
-            }
+            parts = {seen.name: (values[..., seen.numbers], seen.observation.unit) for seen in observation.parts}
             fill(file, name, parts, axes)
 
 
@@ -62,10 +60,8 @@ def predictive(posterior: Posterior, points: Matrix, rng: np.random.Generator) -
     # Errors across the components: noise and scatter of the weighted numbers, of variance 1 each.
     basis, across = posterior.reduction.basis, rng.standard_normal((len(points), len(posterior.reduction.mean)))
     across -= (across @ basis) @ basis.T
-    return (
-        posterior.reduction.numbers(posterior.likelihood.target - residual + errors)
-        + across / posterior.reduction.weights
-    )
+    numbers = posterior.reduction.numbers(posterior.likelihood.target - residual + errors)
+    return numbers + across / posterior.reduction.weights
 
 
 def fill(file: h5py.File, group_name: str, variables: Mapping[str, tuple[Matrix, str]], first: tuple[str, ...]) -> None:

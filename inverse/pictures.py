@@ -243,11 +243,8 @@ def posterior(result: Result) -> Figure:
 
 def marginal(axis: Axes, result: Result, index: int) -> None:
     assert result.posterior is not None, "an optimiser has none"
-    parameter, truth, weights = (
-        result.problem.numbers[index],
-        result.target.truth or {},
-        result.posterior.samples.weights,
-    )
+    parameter, truth = result.problem.numbers[index], result.target.truth or {}
+    weights = result.posterior.samples.weights
     style: dict[str, Any] = {"bins": BINS, "range": parameter.bounds, "density": True, "color": COLOURS["MPM"]}
     axis.hist(result.samples[:, index], weights=weights, label="posterior", **style)
     line: dict[str, Any] = {"color": "#888888", "linestyle": ":", "linewidth": 1.0, "label": "prior"}
@@ -277,9 +274,8 @@ def pair(axis: Axes, result: Result, first: int, second: int) -> None:
 
 def fit(found: Sequence[Residuals]) -> Figure:
     """A panel for each observation: numbers with their noise over time or place, median and predictive band."""
-    figure, axes = plt.subplots(
-        len(found), 1, figsize=(WIDTH, 0.4 + 2.6 * len(found)), layout="constrained", squeeze=False
-    )
+    size = (WIDTH, 0.4 + 2.6 * len(found))
+    figure, axes = plt.subplots(len(found), 1, figsize=size, layout="constrained", squeeze=False)
     for axis, each in zip(axes[:, 0], found, strict=True):
         label, places = each.part.observation.places
         order = np.argsort(places, kind="stable")
@@ -289,13 +285,10 @@ def fit(found: Sequence[Residuals]) -> Figure:
             axis.plot(at, middle, color=COLOURS["MPM"], linewidth=1.2, label="median")
         else:
             ends = np.maximum([middle - low, high - middle], 0.0)
-            axis.errorbar(
-                at, middle, yerr=ends, fmt="_", color=COLOURS["MPM"], linewidth=5, alpha=0.4, label="predicted, 95 %"
-            )
-        wide = NORMAL * each.noise
-        axis.errorbar(
-            places, each.observed, yerr=wide, fmt="k.", capsize=3, linewidth=0.9, label="observed, noise 95 %"
-        )
+            style: dict[str, Any] = {"fmt": "_", "color": COLOURS["MPM"], "linewidth": 5, "alpha": 0.4}
+            axis.errorbar(at, middle, yerr=ends, label="predicted, 95 %", **style)
+        style = {"fmt": "k.", "capsize": 3, "linewidth": 0.9, "label": "observed, noise 95 %"}
+        axis.errorbar(places, each.observed, yerr=NORMAL * each.noise, **style)
         outside = np.abs(each.standardised) > OUTLIER
         axis.plot(places[outside], each.observed[outside], "o", color="tab:red", fillstyle="none", label="outlier")
         unit = each.part.observation.unit

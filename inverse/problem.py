@@ -173,9 +173,8 @@ class Problem(ProblemKeys):
         fields: values [K] of each unknown field; the medians of their priors where absent.
         """
         scene = with_kinds(self.scene, self.kinds, values)
-        for unknown, field_values in zip(
-            self.fields, fields or [unknown.median for unknown in self.fields], strict=True
-        ):
+        given = fields or [unknown.median for unknown in self.fields]
+        for unknown, field_values in zip(self.fields, given, strict=True):
             scene = unknown.put(scene, field_values)
         return scene if seed is None else replace(scene, seed=seed)
 
@@ -287,10 +286,9 @@ class Problem(ProblemKeys):
                 for number, mass in enumerate(self.scene.masses):
                     require(mass.k0 is None, f"scene.masses[{number}].k0", expected, mass.k0)
         for index, parameter in enumerate(self.parameters):
-            require(
-                parameter.name != "time_offset", f"unknowns[{index}].name", "no clock beside a field", parameter.name
-            )
-            require(parameter.prior is None, f"unknowns[{index}].prior", "none beside a field", "one")
+            with keyed(f"unknowns[{index}]"):
+                require(parameter.name != "time_offset", "name", "no clock beside a field", parameter.name)
+                require(parameter.prior is None, "prior", "none beside a field", "one")
         require(not self.correlations, "correlations", "none beside a field", "some")
         released = any(unknown.settings.quantity == THICKNESS for unknown in self.fields)
         for index, observation in enumerate(self.observations):

@@ -43,13 +43,8 @@ def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
         parts += [f"## {field.name}", field_table(field), shown(f"{field.stem}.png", field.name)]
     parts += ["## Comparison with the target", comparison(result), shown("deposit.png", "deposits")]
     if fits := residuals(result):
-        listed = markdown_table([row for fit in fits for row in fit.rows])
-        parts += [
-            "## The fit, number by number",
-            outlying(fits),
-            listed,
-            shown("fit.png", "the fit over time or place"),
-        ]
+        listed, picture = markdown_table([row for fit in fits for row in fit.rows]), "the fit over time or place"
+        parts += ["## The fit, number by number", outlying(fits), listed, shown("fit.png", picture)]
     if result.without:
         parts += ["## Which data matter", data_that_matter(result)]
     if notes := uncertainty(result):
@@ -194,11 +189,8 @@ def quality(result: Result) -> str:
         times = f"{fit.applied:.2g} times"
         parts.append(f"the fit is {times} worse than noise, scatter and cells explain, the intervals {times} as wide")
     if fit is not None and fit.outliers:
-        names = [
-            f"{part.name} {n + 1}"
-            for part in result.target.observation.parts
-            for n in range(len(result.target.values[part.numbers]))
-        ]
+        counts = [(part.name, len(result.target.values[part.numbers])) for part in result.target.observation.parts]
+        names = [f"{name} {n + 1}" for name, count in counts for n in range(count)]
         listed = ", ".join(f"{names[index]} ({off:+.1f})" for index, off in fit.outliers.items())
         parts.append(f"outliers, in standard deviations from what all other numbers predict: {listed}")
     return sentence(parts)
@@ -329,11 +321,8 @@ def uncertainty(result: Result) -> list[str]:
         )
     if len(result.combinations) > 1:
         words = {True: "**Identifiable**", False: "**Not identifiable**"}
-        parts.append(
-            "\n".join(
-                f"- {words[combination.identifiable]}: {mix(combination, ',')}." for combination in result.combinations
-            )
-        )
+        known = [f"- {words[mixed.identifiable]}: {mix(mixed, ',')}." for mixed in result.combinations]
+        parts.append("\n".join(known))
     return parts
 
 

@@ -71,10 +71,8 @@ class Result:
     @property
     def unknowns(self) -> dict[str, float]:
         """The median of the first answer's part of the posterior by name; of a field its mean over the body."""
-        return self.problem.named(self.answer) | {
-            field_posterior.name: field_posterior.average(field_posterior.arrays["mean"])
-            for field_posterior in self.fields
-        }
+        means = {unknown.name: unknown.average(unknown.arrays["mean"]) for unknown in self.fields}
+        return self.problem.named(self.answer) | means
 
     @property
     def certainty(self) -> dict[str, float]:
@@ -84,10 +82,8 @@ class Result:
     @property
     def interval(self) -> dict[str, list[float]]:
         """Between which values each number lies at 95 %, within its bounds; of a field the mean of both."""
-        of_fields = {
-            field_posterior.name: [field_posterior.average(field_posterior.arrays[end]) for end in ("lower", "upper")]
-            for field_posterior in self.fields
-        }
+        ends = ("lower", "upper")
+        of_fields = {unknown.name: [unknown.average(unknown.arrays[end]) for end in ends] for unknown in self.fields}
         return self.problem.named(self.answers[0].interval.T) | of_fields
 
     @property
@@ -135,9 +131,7 @@ class Result:
     @property
     def scene(self) -> Scene:
         """The scene with what was found."""
-        return self.problem.scene_at(
-            self.answer, fields=[field_posterior.arrays["mean"] for field_posterior in self.fields]
-        )
+        return self.problem.scene_at(self.answer, fields=[unknown.arrays["mean"] for unknown in self.fields])
 
     @property
     def samples(self) -> NDArray[np.float64]:
@@ -170,10 +164,8 @@ class Result:
         numbers = {"target": target.values, key: self.predicted}
         observation: dict[str, Any] = {name: plain(whole.scale * values) for name, values in numbers.items()}
         if len(whole.parts) > 1:
-            parts = [(part.name, part.observation.unit, part.numbers) for part in whole.parts]
-            observation["parts"] = [
-                {"name": name, "unit": unit, "first": span.start, "end": span.stop} for name, unit, span in parts
-            ]
+            rows = [(part.name, part.observation.unit, part.numbers.start, part.numbers.stop) for part in whole.parts]
+            observation["parts"] = [dict(zip(("name", "unit", "first", "end"), row, strict=True)) for row in rows]
             observation["deviation"] = np.asarray(whole.scale).tolist()
         if math.isfinite(target.front):
             observation["front"] = target.front
@@ -218,9 +210,7 @@ class Result:
             keys |= {"check": {name: getattr(fit, name) for name in names}, "discrepancy": fit.applied}
         if self.posterior is not None:
             samples, columns = self.posterior.samples, ("weights", "half_width", "identifiable")
-            keys["combinations"] = [
-                {name: getattr(combination, name) for name in columns} for combination in self.combinations
-            ]
+            keys["combinations"] = [{name: getattr(mixed, name) for name in columns} for mixed in self.combinations]
             sampling = {"difference": samples.difference, "acceptance": samples.acceptance}
             keys["sampling"] = sampling | {"log_evidence": samples.evidence}
         if problem.prior is not None:
@@ -231,5 +221,5 @@ class Result:
         if self.without:
             keys["without"] = self.without
         if self.fields:
-            keys["fields"] = [field_posterior.as_json() for field_posterior in self.fields]
+            keys["fields"] = [unknown.as_json() for unknown in self.fields]
         return keys | self.record

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from datasets.errors import InputError, keyed, naming
+from datasets.errors import keyed, naming, require
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
@@ -39,13 +39,9 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
             dof = np.minimum(target.dof, 1e9)
             errors = errors * np.sqrt(dof / rng.chisquare(dof))
         target = dataclasses.replace(target, values=target.values + errors)
-    return dataclasses.replace(
-        target,
-        front=measures.front(run.positions[-1], run.volumes),
-        cell=run.scene.domain.cell,
-        deposit=run.positions[-1],
-        truth=truth or None,
-    )
+    deposit, cell = run.positions[-1], run.scene.domain.cell
+    front = measures.front(deposit, run.volumes)
+    return dataclasses.replace(target, front=front, cell=cell, deposit=deposit, truth=truth or None)
 
 
 def part_names(problem: Problem) -> list[str]:
@@ -62,10 +58,9 @@ def read_run(problem: Problem) -> Trajectory:
     path = problem.folder / str(problem.target.trajectory)
     run = Trajectory.load(path)
     with naming(path):
-        if run.scene.dimension != problem.scene.dimension:
-            expected = f"a {problem.scene.dimension}D trajectory as the scene's"
-            raise InputError(f"expected {expected}, got {run.scene.dimension}D")
+        dimension, its = problem.scene.dimension, run.scene.dimension
+        require(its == dimension, "", f"a {dimension}D trajectory as the scene's", f"{its}D")
         count, got = particle_count(problem.scene), run.positions.shape[1]
-        if got != count and any(operator.every_particle for operator in problem.operators):
-            raise InputError(f"expected the {count} particles of the problem's scene for a deposit, got {got}")
+        fits = got == count or not any(operator.every_particle for operator in problem.operators)
+        require(fits, "", f"the {count} particles of the problem's scene for a deposit", got)
     return run

@@ -18,14 +18,10 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
 
     Leaves OUT/result.json, OUT/report.md, pictures and OUT/mpm.
 
-    Parameters
-    ----------
-    out
-        Folder for the results.
-    seed
-        Makes the angle repeatable; without it, the operating system's randomness draws it.
-    model
-        Weights of the surrogate; unless given, those that ship.
+    Args:
+        out: Folder for the results.
+        seed: Makes the angle repeatable; without it, the operating system's randomness draws it.
+        model: Weights of the surrogate; unless given, those that ship.
     """
     # Imported here: torch takes seconds to load, and help has no use for it.
     from datasets.flow import measures

@@ -84,10 +84,8 @@ def drawn(trajectory: Trajectory, colour: Colour, frame: int) -> Any:
     labels: dict[str, Any] = {"xtitle": "x [m]", "ytitle": "y [m]", "ztitle": "z [m]"}
     labels |= dict(zip(("n_xlabels", "n_ylabels", "n_zlabels"), counts.tolist(), strict=True))
     style = {"color": INK, "font_size": 20, "bold": False, "location": "outer", "ticks": "outside", "fmt": "%.3g"}
-    bounds = corners.T.ravel().tolist()
-    plotter.show_bounds(
-        bounds=bounds, grid="front" if flat else "back", show_zaxis=not flat, use_2d=flat, **labels, **style
-    )
+    sides = {"grid": "front" if flat else "back", "show_zaxis": not flat, "use_2d": flat}
+    plotter.show_bounds(bounds=corners.T.ravel().tolist(), **sides, **labels, **style)
     # The box is drawn level on a slope, too.
     time = f"t = {trajectory.time[frame]:.3f} s" + (f"   slope {scene.slope_deg:g}°" if scene.slope_deg else "")
     plotter.add_text(time, position=(0.03, 0.93), viewport=True, font_size=12, color=INK)

@@ -55,9 +55,7 @@ class Run:
         ]
         record = [(field.name, getattr(self.record, field.name)) for field in dataclasses.fields(self.record)]
         # Runs without fields keep the names under which they are on disk.
-        record = [
-            (name, value or [] if name == "fields" else value) for name, value in record if name != WATER or value
-        ]
+        record = [(key, value or [] if key == "fields" else value) for key, value in record if key != WATER or value]
         text = repr((__version__, sorted(scene), record, self.precision))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -42,15 +42,11 @@ def source_of(path: Path) -> tuple[Path, str, dict[str, Any]]:
 def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None) -> None:
     """Write a flow, or two over each other, as one HTML page; it opens from disk, without a network.
 
-    Parameters
-    ----------
-    flow
-        A trajectory (NPZ or HDF5), the folder of a run that holds one, or the folder of validation.loop: the MPM's run
-        at its answer over what was observed.
-    other
-        A flow to draw over it: the surrogate's, the target's, one of another angle.
-    out
-        The page to write; view.html in the folder of FLOW unless given.
+    Args:
+        flow: A trajectory (NPZ or HDF5), the folder of a run that holds one, or the folder of validation.loop: the
+            MPM's run at its answer over what was observed.
+        other: A flow to draw over it: the surrogate's, the target's, one of another angle.
+        out: The page to write; view.html in the folder of FLOW unless given.
     """
     # Imported here: --help needs neither the pictures' libraries nor the solids'.
     from datasets.compare import labels_of

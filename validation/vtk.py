@@ -22,20 +22,13 @@ def command(
 ) -> None:
     """Write a trajectory for ParaView; leaves OUT/trajectory.pvd, a series of VTK files.
 
-    Parameters
-    ----------
-    trajectory
-        A trajectory (NPZ), or the folder of a run that holds one.
-    out
-        Folder for the results.
-    picture
-        Draw a frame, too: OUT/picture.png.
-    frames
-        Take every how many frames into the series; the last frame always.
-    colour
-        What the colours of the picture show.
-    time
-        Time of the picture [s], to the nearest frame; the end, unless given.
+    Args:
+        trajectory: A trajectory (NPZ), or the folder of a run that holds one.
+        out: Folder for the results.
+        picture: Draw a frame, too: OUT/picture.png.
+        frames: Take every how many frames into the series; the last frame always.
+        colour: What the colours of the picture show.
+        time: Time of the picture [s], to the nearest frame; the end, unless given.
     """
     from datasets.exchange.vtk import SERIES, frames_of, write_vtk
     from datasets.flow.fields import Colour

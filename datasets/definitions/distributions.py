@@ -133,10 +133,9 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
     if kind == "choice":
         require(isinstance(given, list) and len(given) > 0, where, "a list of values", value)
         weights = value.get("weights", [1] * len(given))
-        fit = (
-            isinstance(weights, list) and len(weights) == len(given) and all(type(weight) is int for weight in weights)
-        )
-        require(fit and min(weights) > 0, where, "weights, a positive whole number for each value", value)
+        fit = isinstance(weights, list) and len(weights) == len(given)
+        fit = fit and all(type(weight) is int and weight > 0 for weight in weights)
+        require(fit, where, "weights, a positive whole number for each value", value)
         chosen = int(np.searchsorted(np.cumsum(weights), stream.integers(sum(weights)), side="right"))
         return drawn(given[chosen], stream, variables, key)
     if kind == "variable":

@@ -134,9 +134,7 @@ def composed(stream: Stream, kind: Numbers) -> Scene:
         if sketch["sheet"]:
             masses, thickness = sheet_of(sketch, sketch["sheet"], plan)
             top += thickness
-        masses = tuple(
-            dataclasses.replace(mass, lower=on_ground(mass, solids[0])) if mass.size else mass for mass in masses
-        )
+        masses = tuple(on_ground(mass, solids[0]) if mass.size else mass for mass in masses)
     top = max([top, *(mass.lower[1] + mass.size[1] for mass in masses if mass.size)])
     extent, cell = (plan[0], max(sketch["height"], top + AIR), *plan[1:]), sketch["cell"]
     domain = Domain(size=tuple(cell * math.ceil(length / cell - 1e-6) for length in extent), cell=cell)
@@ -156,11 +154,8 @@ def bodies_of(sketch: Numbers, sand: Material) -> tuple[tuple[Mass, ...], float]
     bodies, width = sketch["bodies"], sketch["width"]
     shares, sizes = sum(body.get("share", 1.0) for body in bodies), list[tuple[float, ...]]()
     for body in bodies:
-        volume, aspect, breadth = (
-            sketch["volume"] * body.get("share", 1.0) / shares,
-            body["aspect"],
-            body.get("breadth"),
-        )
+        volume = sketch["volume"] * body.get("share", 1.0) / shares
+        aspect, breadth = body["aspect"], body.get("breadth")
         length = (volume / (aspect * breadth)) ** (1 / 3) if breadth else math.sqrt(volume / (width or 1.0) / aspect)
         sizes.append((length, aspect * length, breadth * length if breadth else width))
         if min(sizes[-1][:2]) < sketch["least_side"] or sizes[-1][2] > WIDEST:
@@ -228,13 +223,14 @@ def terrain_of(ground: Numbers, plan: tuple[float, ...], friction: float) -> tup
     return (solid,), float(heights.max())
 
 
-def on_ground(mass: Mass, terrain: Solid) -> tuple[float, ...]:
-    """Lower corner of a box in 3D [m] that lies on the highest post of a terrain beneath it, or above that."""
+def on_ground(mass: Mass, terrain: Solid) -> Mass:
+    """A box in 3D moved up, so that it lies on the highest post of a terrain beneath it, or as far above that."""
     heights = np.array(terrain.heights)
     for axis, first, step in zip((0, 2), terrain.origin or (), terrain.spacing or (), strict=True):
         begin, end = ((edge - first) / step for edge in (mass.lower[axis], mass.lower[axis] + mass.size[axis]))
         heights = heights[math.floor(begin) : math.ceil(end) + 1].T
-    return mass.lower[0], mass.lower[1] + float(heights.max()), mass.lower[2]
+    x, y, z = mass.lower
+    return dataclasses.replace(mass, lower=(x, y + float(heights.max()), z))
 
 
 def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[tuple[Mass, ...], float]:
@@ -308,10 +304,9 @@ def apart(baffles: list[Baffle], front: float, gap: float) -> bool:
     """Whether baffles keep a `gap` [m] from each other in plan, and stand before the `front` of the material [m]."""
     around = boxes(tuple(baffles), len(baffles[0].size))
     level = plan_axes(around.shape[-1])
+    ahead = bool((around[:, 0, 0] >= front + 0.5 * gap).all())
     distances = (np.maximum(a[0] - b[1], b[0] - a[1])[level].max() for a, b in combinations(around, 2))
-    return bool((around[:, 0, 0] >= front + 0.5 * gap).all()) and all(
-        distance >= gap - 1.0e-9 for distance in distances
-    )
+    return ahead and all(distance >= gap - 1.0e-9 for distance in distances)
 
 
 def variant(stream: Stream, scene: Scene) -> Scene:

@@ -235,10 +235,9 @@ def still(scenes: Sequence[Scene]) -> dict[str, Any]:
                 continue
             body = closed_body(solid, key, current.domain)
             corners = body.vertices if current.dimension == 3 else body.vertices[[*range(len(body.vertices)), 0]]
-            part = dict(zip("xyz", corners.T.tolist(), strict=False)) | {"faces": body.faces.T.tolist()}
-            parts.append(
-                part | {"kind": "second" if index else "baffle" if number < len(current.baffles) else "ground"}
-            )
+            kind = "second" if index else "baffle" if number < len(current.baffles) else "ground"
+            places = dict(zip("xyz", corners.T.tolist(), strict=False))
+            parts.append(places | {"faces": body.faces.T.tolist(), "kind": kind})
     if any(solid.kind == "terrain" for solid in scene.solids):
         spacing = max(scene.domain.cell, max(scene.domain.size) / NODES)
         heights = ground_raster(scene, spacing)[0]
@@ -259,7 +258,6 @@ def about(shown: Sequence[Shown], labels: Sequence[str], times: NDArray[np.float
     if scene.slope_deg:
         parts.append(f"the box is drawn level, gravity is inclined by {scene.slope_deg:g}°")
     if scene.domain.origin is not None:
-        parts.append(
-            f"lengths count from {', '.join(f'{coordinate:.10g}' for coordinate in scene.domain.origin)} m on the map"
-        )
+        place = ", ".join(f"{coordinate:.10g}" for coordinate in scene.domain.origin)
+        parts.append(f"lengths count from {place} m on the map")
     return "; ".join(parts) + "."

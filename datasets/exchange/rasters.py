@@ -29,15 +29,8 @@ UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)
 """Values that stand for no data by custom, as they are in the file."""
 CLIFF, STEEP = 500.0, 10.0
 """Height of a step [m], and over the cell, beyond which values without any between are no ground: -999, 9999, 0."""
-OTHERS = {
-    ".img": "HFA",
-    ".bil": "EHdr",
-    ".flt": "EHdr",
-    ".vrt": "VRT",
-    b"DSBB": "GSBG",
-    b"DSRB": "GS7BG",
-    b"DSAA": "GSAG",
-}
+OTHERS: dict[str | bytes, str] = {".img": "HFA", ".bil": "EHdr", ".flt": "EHdr", ".vrt": "VRT"}
+OTHERS |= {b"DSBB": "GSBG", b"DSRB": "GS7BG", b"DSAA": "GSAG"}
 """GDAL's drivers by the ending of a file or, of a grid of Surfer, by its beginning; other files are GeoTIFF or ESRI
 ASCII rasters."""
 ELSEWHERE = re.compile(rb"/vsi|://|pixelfunction", re.IGNORECASE)
@@ -265,16 +258,13 @@ def write_raster(
     (height, width), (east, north) = rows.shape, corner
     profile: dict[str, Any] = {"driver": "GTiff", "compress": "deflate", "predictor": 3, "count": 1, "dtype": "float32"}
     # To the east along a row, to the south from row to row.
-    place = {
-        "nodata": np.nan,
-        "transform": rasterio.Affine(cell, 0.0, east, 0.0, -cell, north + height * cell),
-        "crs": crs,
-    }
+    transform = rasterio.Affine(cell, 0.0, east, 0.0, -cell, north + height * cell)
+    profile |= {"nodata": np.nan, "transform": transform, "crs": crs}
     try:
         with warnings.catch_warnings(), replacing(path) as part:
             # A box in its own coordinates has no reference system, which is no mistake.
             warnings.simplefilter("ignore")
-            with rasterio.open(part, "w", width=width, height=height, **profile, **place) as raster:
+            with rasterio.open(part, "w", width=width, height=height, **profile) as raster:
                 raster.write(rows, 1)
                 raster.set_band_description(1, name)
                 raster.set_band_unit(1, unit)

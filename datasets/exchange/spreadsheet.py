@@ -130,9 +130,8 @@ def numbers(
         values = [float(cells[place] or ("nan" if blanks else "")) for place in places] if len(cells) == count else []
     except ValueError:
         values = []
-    if len(values) < len(places) or not all(
-        abs(value) <= FARTHEST or (blanks and math.isnan(value)) for value in values
-    ):
+    usable = all(abs(value) <= FARTHEST or (blanks and math.isnan(value)) for value in values)
+    if len(values) < len(places) or not usable:
         got = f"{separator.join(row).strip()[:40]!r}"
         raise InputError(f"expected {count} values in line {line}, all of them finite, got {got}")
     return values, commas

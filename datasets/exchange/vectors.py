@@ -50,9 +50,8 @@ def read_polygons(path: Path, crs: str | None) -> list[Feature]:
     require(len(layers) > 0, "", "polygons", "none")
     require(len(layers) == 1, "", f"polygons in one layer, or FILE{LAYER}NAME", f"them in {', '.join(layers)}")
     features = by_layer[layers[0]]
-    require(
-        all(feature.polygon.is_valid for feature in features), "", "polygons that do not cross themselves", "others"
-    )
+    simple = all(feature.polygon.is_valid for feature in features)
+    require(simple, "", "polygons that do not cross themselves", "others")
     return features
 
 

@@ -25,9 +25,8 @@ SERIES = "trajectory.pvd"
 PARTS = re.compile(r"(particles-\d+|solids(-\d+)?|domain)\.vtp")
 """The files that a series consists of, whatever its length."""
 UNITS = {"velocity": "m/s", "displacement": "m", "friction_deg": "deg", "impulse": "N s", "force": "N"}
-UNITS |= {"stress": "Pa", "pressure": "Pa", "pore_pressure": "Pa"} | dict.fromkeys(
-    ("plastic_strain", "material", "solid", "friction"), "1"
-)
+UNITS |= dict.fromkeys(("stress", "pressure", "pore_pressure"), "Pa")
+UNITS |= dict.fromkeys(("plastic_strain", "material", "solid", "friction"), "1")
 """Of the arrays; of impulse and force in 2D per metre of width."""
 MOVING = "particles"
 """The part whose geometry changes."""

@@ -307,9 +307,7 @@ class Deposit:
         raised = [above(places, self.ground) for places, _ in deposits]
         spacings = [particle_spacing(volumes, len(self.size)) for _, volumes in deposits]
         column = COLUMN * max(spacings)
-        reference, other = (
-            thickness(*deposit, column, self.size[::2]) for deposit in zip(raised, spacings, strict=True)
-        )
+        reference, other = (thickness(*pair, column, self.size[::2]) for pair in zip(raised, spacings, strict=True))
         height = mean_height(raised[0], self.volume)
         return Errors(
             front=(beyond if self.side == 1 else -beyond) / self.extent,

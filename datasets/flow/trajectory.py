@@ -160,9 +160,8 @@ def open_trajectory(path: str | Path, *fields: str) -> Trajectory:
     Checks what there is to check without reading the positions. Raises InputError, which names the file and the key.
     """
     path = Path(path)
-    arrays = read_arrays(
-        path, *(key for key in REQUIRED if key != "positions"), optional=("volume", "mass", "entry_time", *fields)
-    )
+    needed = [key for key in REQUIRED if key != "positions"]
+    arrays = read_arrays(path, *needed, optional=("volume", "mass", "entry_time", *fields))
     with naming(path):
         return _checked({**arrays, "positions": open_frames(path, "positions")}, lazily=True)
 

@@ -99,11 +99,9 @@ def with_boxes(scene: SceneLayout) -> tuple[Mass, ...]:
 def filling(scene: SceneLayout, mass: Mass, key: str = "masses") -> Filling:
     """The particles that fill a mass of `scene` that is no box. Raises InputError."""
     shape = dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None)
+    terrains = [solid for solid in scene.solids if solid.kind == "terrain" and mass.kind in ("layer", INFLOW)]
     # Without friction, so that scenes which differ by that alone share what is found.
-    bare = (
-        dataclasses.replace(solid, friction=0.0, turbulence=None) for solid in scene.solids if solid.kind == "terrain"
-    )
-    ground = tuple(bare) if mass.kind in ("layer", INFLOW) else ()
+    ground = tuple(dataclasses.replace(solid, friction=0.0, turbulence=None) for solid in terrains)
     if mass.kind == INFLOW and mass.hydrograph is not None:
         shape = dataclasses.replace(shape, hydrograph=until(mass.hydrograph, scene.duration, f"{key}.hydrograph"))
     return fill(shape, scene.domain, ground, scene.particle_spacing, key)

@@ -85,10 +85,8 @@ class ContactSurface:
         if self.field is None:
             return self.faces
         plan = points[:, ::2]
-        ground = self.field.triangles(plan.min(axis=0) - reach, plan.max(axis=0) + reach)
-        return Surface(
-            **{name: np.concatenate([array, vars(ground)[name]]) for name, array in vars(self.faces).items()}
-        )
+        ground = vars(self.field.triangles(plan.min(axis=0) - reach, plan.max(axis=0) + reach))
+        return Surface(**{name: np.concatenate([array, ground[name]]) for name, array in vars(self.faces).items()})
 
 
 def has_field(scene: SceneLayout) -> bool:

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.scene.grid_field import Grid
 from datasets.scene.parts import Domain, SceneLayout, Solid, coefficient
 
@@ -104,9 +104,9 @@ def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], F
     axes: list[Floats] = []
     for number, (axis, at) in enumerate(zip(plan_axes(domain.dimension), given, strict=True)):
         length = domain.size[axis]
-        if at[0] > slack[number] + TOUCHING or at[-1] < length - slack[number] - TOUCHING:
-            expected = f"expected ground over the whole box, {'xyz'[axis]} from 0 to {length:g} or within a cell of it"
-            raise InputError(f"{expected}, got {at[0]:g} to {at[-1]:g}", key=f"{key}.{name}")
+        expected = f"ground over the whole box, {'xyz'[axis]} from 0 to {length:g} or within a cell of it"
+        whole = at[0] <= slack[number] + TOUCHING and at[-1] >= length - slack[number] - TOUCHING
+        require(bool(whole), f"{key}.{name}", expected, f"{at[0]:g} to {at[-1]:g}")
         at, h, place = extended(at, np.moveaxis(heights, number, 0), length, BEYOND * domain.cell)
         axes.append(at)
         heights, friction = np.moveaxis(h, 0, number), np.take(friction, place, axis=number)
@@ -143,22 +143,16 @@ def lowest_ground(domain: Domain, solid: Solid, key: str) -> float:
     return float(heights[np.ix_(*within)].min(initial=0.0))
 
 
-def first_diagonal(values: Floats) -> NDArray[np.bool_]:
-    """Whether the triangles of each cell of a grid [X, Z] meet along its first corner's diagonal, [X - 1, Z - 1].
-
-    They do along the diagonal whose ends differ less, so that mirror images have mirrored triangles.
-    """
-    return np.asarray(np.abs(values[:-1, :-1] - values[1:, 1:]) <= np.abs(values[1:, :-1] - values[:-1, 1:]))
-
-
 def grid_triangles(values: Floats) -> Integers:
     """The two triangles of every cell of a grid [X, Z], by the numbers of its nodes, anticlockwise from above; [T, 3].
 
-    y points up, so z runs to the right of x.
+    They meet along the diagonal whose ends differ less, so that mirror images have mirrored triangles. y points up, so
+    z runs to the right of x.
     """
     number = np.arange(values.size).reshape(values.shape)
     a, b, c, d = (corner.ravel() for corner in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
-    first = first_diagonal(values).ravel()[:, None]
+    height = values.ravel()
+    first = (np.abs(height[a] - height[c]) <= np.abs(height[b] - height[d]))[:, None]
     return np.where(first, np.stack([a, c, b, a, d, c], axis=1), np.stack([a, d, b, b, d, c], axis=1)).reshape(-1, 3)
 
 

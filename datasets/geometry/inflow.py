@@ -106,10 +106,8 @@ def until(hydrograph: Rows, end: float, key: str) -> Rows:
 
 def inflow(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Inflow:
     """What a mass of kind inflow brings, in particles of about `share` [m]. Raises InputError."""
-    hydrograph, level = (
-        np.array(mass.hydrograph) * [1.0, mass.discharge_factor or 1.0, 1.0],
-        plan_axes(domain.dimension),
-    )
+    hydrograph = np.array(mass.hydrograph) * [1.0, mass.discharge_factor or 1.0, 1.0]
+    level = plan_axes(domain.dimension)
     ends, grounded = foot_of(mass, domain, ground, share, key)
     foot, width = ends.mean(axis=0), float(np.linalg.norm(ends[1] - ends[0]))
     along, strips = (ends[1] - ends[0]) / width, max(1, round(width / share)) if domain.dimension == 3 else 1

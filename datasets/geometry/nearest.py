@@ -88,12 +88,9 @@ class Search:
         sign = np.where((offset * pseudonormal).sum(-1) < 0.0, -1.0, 1.0)
         apart = distance > ROUNDING * np.abs(self.surface.corners).max()
         direction = sign[:, None] * offset / np.where(apart, distance, 1.0)[:, None]
-        return Nearest(
-            distance=np.where(nearest_centre <= within, sign * distance, np.inf),
-            foot=foot,
-            normal=np.where(apart[:, None], direction, pseudonormal),
-            face=face,
-        )
+        normal = np.where(apart[:, None], direction, pseudonormal)
+        signed = np.where(nearest_centre <= within, sign * distance, np.inf)
+        return Nearest(distance=signed, foot=foot, normal=normal, face=face)
 
     def bound(self, points: Floats) -> tuple[Floats, Floats, Integers]:
         """Upper and lower bounds of the distance [m] of each point, and the face of the upper one, all of shape [N]."""

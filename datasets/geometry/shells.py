@@ -98,12 +98,9 @@ def lengthened_surface(body: Body, axis: int, limit: float, beyond: float) -> Bo
     rim = np.array([(b, a) not in directed for a, b in edges.tolist()])
     (a, b), (c, d) = edges[rim].T, ends[rim].T
     skirt = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
-    return Body(
-        vertices=np.concatenate([vertices, moved]),
-        faces=np.concatenate([triangles[~on_side], renamed, skirt]),
-        friction=np.concatenate([friction, friction[used]]),
-        key=body.key,
-    )
+    faces = np.concatenate([triangles[~on_side], renamed, skirt])
+    vertices, friction = np.concatenate([vertices, moved]), np.concatenate([friction, friction[used]])
+    return Body(vertices=vertices, faces=faces, friction=friction, key=body.key)
 
 
 def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:

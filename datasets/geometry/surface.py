@@ -28,16 +28,12 @@ CORNERS = {
     3: np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64),
 }
 """Of the unit square and of the unit cube, whose last coordinate changes fastest."""
-FACES = {
-    2: ring(4),
-    3: np.array(
-        [
-            *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]),  # x = 0, x = 1
-            *([0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]),  # y = 0, y = 1
-            *([0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),  # z = 0, z = 1
-        ]
-    ),
-}
+SIDES = [
+    *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]),  # x = 0, x = 1
+    *([0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]),  # y = 0, y = 1
+    *([0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),  # z = 0, z = 1
+]
+FACES = {2: ring(4), 3: np.array(SIDES)}
 """Their faces, outwards."""
 
 
@@ -90,11 +86,9 @@ def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     """
     baffles = []
     for baffle in scene.baffles:
-        friction, box = (
-            scene.friction_of(baffle),
-            {key: getattr(baffle, key) for key in ("lower", "size", "turned_deg")},
-        )
+        friction = scene.friction_of(baffle)
         contact = "no-slip" if friction == ROUGH else "coulomb"
+        box = {key: getattr(baffle, key) for key in ("lower", "size", "turned_deg")}
         baffles.append(Solid(**box, friction=coefficient(friction, 0.0), contact=contact))
     others = [solid if solid.turbulence is None else replace(solid, turbulence=None) for solid in scene.solids]
     return (*baffles, *others), tuple(keyed(scene, "baffles", "solids"))
@@ -180,12 +174,9 @@ def ground_body(solid: Solid, key: str, box: Domain) -> Body:
         x, points = axes[0], np.stack([axes[0], heights], axis=1)
         under = np.array([[x[-1], deep], [x[0], deep]])
         # The line runs towards +x with the solid on its right: from its end back to its start is anticlockwise.
-        return Body(
-            vertices=np.concatenate([points[::-1], under[::-1]]),
-            faces=ring(len(points) + 2),
-            friction=np.concatenate([friction[::-1], friction[[0, -1]]]),
-            key=key,
-        )
+        vertices = np.concatenate([points[::-1], under[::-1]])
+        friction = np.concatenate([friction[::-1], friction[[0, -1]]])
+        return Body(vertices=vertices, faces=ring(len(vertices)), friction=friction, key=key)
     x, z = axes
     return raster_body(x, z, heights, friction, deep=deep, key=key)
 

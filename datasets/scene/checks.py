@@ -319,10 +319,8 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
             warnings.warn(f"{key}: {beyond}", stacklevel=3)
         thick, long = float(np.max(mass.thickness or 0.0)), max(mass.size[::2])
         if mass.kind == "layer" and thick > TALL * long:
-            said = (
-                f"{thick:g} m is {thick / long:.2g} times the length of the layer; in cm it would be {thick / 100:g} m"
-            )
-            warnings.warn(f"{key}.thickness: {said}", stacklevel=3)
+            said = f"{thick:g} m is {thick / long:.2g} times the length of the layer"
+            warnings.warn(f"{key}.thickness: {said}; in cm it would be {thick / 100:g} m", stacklevel=3)
     if scene.water is not None and (level := scene.water.level or 0.0) > scene.domain.size[1]:
         above = f"{level - scene.domain.size[1]:.3g} m above the top of the box"
         warnings.warn(f"water.level lies {above}: all that is saturated is full", stacklevel=3)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.geometry.bodies import filling, height, lattice_of
-from datasets.memory import require
+from datasets.memory import require as require_memory
 from datasets.scene import INFLOW, TOLERANCE, Mass, Scene, keyed
 from datasets.scene.grid_field import FRICTION, THICKNESS, Floats
 from datasets.scene.material import Material
@@ -87,7 +87,7 @@ def initial_particles(scene: Scene) -> Particles:
     """
     count = particle_count(scene)
     instead = f"there are {count}; larger cells or fewer particles_per_axis"
-    require(PARTICLE * scene.dimension**2 * count, "particles", instead, key="masses")
+    require_memory(PARTICLE * scene.dimension**2 * count, "particles", instead, key="masses")
     positions, depths, velocities, times = [], [], [], []
     stretch = stretches(scene)
     for index, mass in enumerate(scene.masses):
@@ -170,9 +170,8 @@ def observed_cohesion(
         mass = np.zeros(len(positions), np.int32)
     elif mass is None:
         counts = mass_counts(scene)
-        if sum(counts) != len(positions):
-            expected = f"the {sum(counts)} particles of masses that differ in cohesion"
-            raise InputError(f"expected {expected}, got {len(positions)}", key="positions")
+        expected = f"the {sum(counts)} particles of masses that differ in cohesion"
+        require(sum(counts) == len(positions), "positions", expected, len(positions))
         mass = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     depths = np.zeros(len(positions))
     for index, body in enumerate(scene.masses):
@@ -252,9 +251,8 @@ def initial_volumes(scene: Scene) -> Floats:
     if all(field.quantity != THICKNESS for field in scene.fields):
         return volumes
     shares = zip(stretches(scene), mass_counts(scene), strict=True)
-    return np.asarray(
-        volumes * np.concatenate([np.broadcast_to(stretch / stretch.mean(), count) for stretch, count in shares])
-    )
+    factors = [np.broadcast_to(stretch / stretch.mean(), count) for stretch, count in shares]
+    return np.asarray(volumes * np.concatenate(factors))
 
 
 def particle_volumes(scene: Scene, count: int) -> Floats:

@@ -85,9 +85,8 @@ def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector, scene
             slopes[index] = by_mass[parameter.index, parameter.axis]
             continue
         # What one body or solid has changes nothing else; a constant that bodies share enters those with others, too.
-        siblings = [
-            n for n, other in enumerate(kinds) if (other.group, other.index) == (parameter.group, parameter.index)
-        ]
+        body = parameter.group, parameter.index
+        siblings = [n for n, other in enumerate(kinds) if (other.group, other.index) == body]
         base, moved = (run, siblings) if parameter.group else (given, list(range(len(kinds))))
 
         def scene_at(value: float, index: int = index, base: Scene = base, moved: list[int] = moved) -> Scene:
@@ -103,10 +102,8 @@ class _Flow(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, tape: Tape, slopes: Callable[[Gradient], Tensor], parameters: Tensor) -> tuple[Tensor, ...]:
         ctx.tape, ctx.slopes, ctx.dtype = tape, slopes, parameters.dtype
-        observed = (tape.positions, tape.velocities, tape.impulses)
-        return tuple(
-            torch.from_numpy(observable(index)) for index in range(len(tape.batch.scenes)) for observable in observed
-        )
+        observed, count = (tape.positions, tape.velocities, tape.impulses), len(tape.batch.scenes)
+        return tuple(torch.from_numpy(observable(index)) for index in range(count) for observable in observed)
 
     @staticmethod
     def backward(ctx: Any, *adjoints: Tensor) -> tuple[Any, ...]:
@@ -138,10 +135,9 @@ class AdjointForward(MpmForward):
         flow = self.run.flow(parameters)
         followed = self.indices if self.observation.every_particle else slice(None)
         volumes = torch.from_numpy(initial_volumes(self.problem.scene_at(parameters.detach().numpy()))[followed])
-        positions = flow.positions[:, followed]
-        return self.observation.predict(
-            Rollout(positions=positions, times=self.times, volumes=volumes, impulses=flow.impulses)
-        )
+        positions, impulses = flow.positions[:, followed], flow.impulses
+        rollout = Rollout(positions=positions, times=self.times, volumes=volumes, impulses=impulses)
+        return self.observation.predict(rollout)
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """The smooth observation [m] at each vector of parameters [U], one after the other."""

@@ -134,15 +134,13 @@ class GnsForward:
             start = self.entered(torch.from_numpy(parameters))
             path = self.unrolled([start])
             numbers = self.observed(path, start)
-            differences = torch.stack(
-                [self.observed(moved, start) - numbers for moved in self.band.moved(path)]
-            ).numpy()
+            moved = [self.observed(other, start) - numbers for other in self.band.moved(path)]
+            differences = torch.stack(moved).numpy()
         if self.observation.every_particle:
             count = differences.shape[1]
             extent = float(path[-1, :, 0].max() - path[0, :, 0].min())
-            differences = np.concatenate(
-                [differences, self.band.profile * extent / NORMAL * count**0.25 * np.eye(count)]
-            )
+            single = self.band.profile * extent / NORMAL * count**0.25 * np.eye(count)
+            differences = np.concatenate([differences, single])
         return differences
 
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:

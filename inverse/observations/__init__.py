@@ -25,15 +25,9 @@ from inverse.observations.profile import ProfileSettings as ProfileSettings
 from inverse.observations.settings import ObservationSettings as ObservationSettings
 
 _DEPOSIT = (FrontSettings, RunoutSettings, ToeSettings, DepositSettings, PassedSettings, OutlineSettings)
-_INSTRUMENTS = (
-    GaugesSettings,
-    ImpulseSettings,
-    PeakForceSettings,
-    ArrivalSettings,
-    SpeedSettings,
-    PorePressureSettings,
-)
+_HEIGHTS = (ProfileSettings, ThicknessSettings, GaugesSettings)
+_INSTRUMENTS = (ImpulseSettings, PeakForceSettings, ArrivalSettings, SpeedSettings, PorePressureSettings)
 KINDS: dict[str, type[ObservationSettings]] = {
-    settings.operator_type.kind: settings for settings in (*_DEPOSIT, ProfileSettings, ThicknessSettings, *_INSTRUMENTS)
+    settings.operator_type.kind: settings for settings in (*_DEPOSIT, *_HEIGHTS, *_INSTRUMENTS)
 }
 """The settings of every kind of observation by its name in TOML."""

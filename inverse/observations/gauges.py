@@ -105,11 +105,6 @@ class GaugesSettings(LengthsSettings):
     columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
 
-    @property
-    def count(self) -> int:
-        """Of the heights."""
-        return len(self.values or ())
-
     def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
         table = super().table(path, needed, optional)
         return table | {"height": table["height"] - self.datum * self.metres}
@@ -185,9 +180,8 @@ class PeakForce(Impulse):
         impulse = self.recorded(impulses)
         starts = np.concatenate([time, time - self.window])
         starts = starts[(starts >= time[0]) & (starts <= time[-1] - self.window * (1.0 - 1e-9))]
-        first, last = (
-            at_times(lambda value: value, impulse, time, moments) for moments in (starts, starts + self.window)
-        )
+        ends = (starts, starts + self.window)
+        first, last = (at_times(lambda value: value, impulse, time, moments) for moments in ends)
         return abs((last - first) / self.window).max().reshape(1)
 
 
@@ -239,17 +233,15 @@ class PorePressure(SmoothObservation):
         require(x is not None, "x", "the x [m] of the gauges", "none")
         require(times is not None, "times", "the times [s] at which the gauges are read", "none")
         require((z is None) == (scene.dimension == 2), "z", "the z [m] of the gauges in 3D, none in 2D", z)
-        columns = {
-            key: np.array(places, np.float64) for key, places in (("x", x), ("y", y), ("z", z)) if places is not None
-        }
+        given = {"x": x, "y": y, "z": z}
+        columns = {key: np.array(places, np.float64) for key, places in given.items() if places is not None}
         require(len({*map(len, columns.values())}) == 1, "x", "as many x, y and z as gauges", "others")
         for key, places in columns.items():
             length = scene.domain.size["xyz".index(key)]
             held = bool(((places >= 0.0) & (places <= length)).all())
             require(held, key, f"lengths between 0 and {length:g} m", places.tolist())
-        ground = elevation(
-            scene.solids, scene.domain, np.stack([columns[key] for key in "xz" if key in columns], axis=1)
-        )
+        plan = np.stack([columns[key] for key in "xz" if key in columns], axis=1)
+        ground = elevation(scene.solids, scene.domain, plan)
         columns.setdefault("y", ground)
         deepest = int(np.argmin(columns["y"] - ground))
         above = columns["y"][deepest] >= ground[deepest] - scene.domain.cell
@@ -311,11 +303,6 @@ class PorePressureSettings(LengthsSettings):
     places: ClassVar = {"x": 0, "y": 1, "z": 2}
     columns: ClassVar = {"time": "times", "pressure": "values", "x": "x", "y": "y", "z": "z"}
     optional = ("x", "y", "z")
-
-    @property
-    def count(self) -> int:
-        """Of the pressures."""
-        return len(self.values or ())
 
 
 def read_at(gauges: Floats, times: Values, count: int | None) -> tuple[Floats, Values]:

@@ -135,12 +135,9 @@ def checked_profile(
         area = float(pieces.sum() if profile.gaps is None else pieces[~profile.gaps].sum())
         low, high = AREA[heights]
         low = low if profile.gaps is None and profile.ends is None else 0.0
-        require(
-            low * released <= area <= high * released,
-            "",
-            f"{low:g} to {high:g} times the area that was released, {released:.4g} m^2, for {heights} heights",
-            f"{area:.4g} m^2, {area / released:.3g} times; unit, datum and heights say what stands in the file",
-        )
+        expected = f"{low:g} to {high:g} times the area that was released, {released:.4g} m^2, for {heights} heights"
+        got = f"{area:.4g} m^2, {area / released:.3g} times; unit, datum and heights say what stands in the file"
+        require(low * released <= area <= high * released, "", expected, got)
     return profile
 
 
@@ -176,13 +173,9 @@ def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> 
             gap -= step
         if gap <= 1e-6:
             ends[number] = face
-    points, within = np.array(rows), (ends[0], ends[1])
-    return MeasuredProfile(
-        x=points[:, 0],
-        height=points[:, 1],
-        gaps=np.array(open_rows) if any(open_rows) else None,
-        ends=None if within == (0.0, scene.domain.size[0]) else within,
-    )
+    (x, height), missing = np.array(rows).T, np.array(open_rows) if any(open_rows) else None
+    within = None if ends == [0.0, scene.domain.size[0]] else (ends[0], ends[1])
+    return MeasuredProfile(x=x, height=height, gaps=missing, ends=within)
 
 
 def faces(scene: Scene) -> list[tuple[float, float]]:

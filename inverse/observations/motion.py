@@ -149,17 +149,15 @@ class Speed(SmoothObservation):
     def at(self, rollout: Rollout, time: float) -> Tensor:
         """The mean speed at a time [s], a number."""
         ends = np.clip([time - 0.5 * self.window, time + 0.5 * self.window], rollout.times[0], rollout.times[-1])
-        before, here, after = at_times(
-            lambda frame: frame.double(), rollout.positions, rollout.times, np.array([ends[0], time, ends[1]])
-        )
+        moments = np.array([ends[0], time, ends[1]])
+        before, here, after = at_times(lambda frame: frame.double(), rollout.positions, rollout.times, moments)
         # A particle at rest has no direction: the root of its square has no slope there.
         moved = ((after - before) ** 2).sum(dim=1).clamp(min=1e-24).sqrt() / (ends[1] - ends[0])
         weight: Any = rollout.volumes.double()
         for axis, low, high in self.sides:
             along, cell = here[:, axis], self.scene.domain.cell
-            weight = (
-                weight * ((along - low) / cell + 0.5).clamp(0.0, 1.0) * ((high - along) / cell + 0.5).clamp(0.0, 1.0)
-            )
+            weight = weight * ((along - low) / cell + 0.5).clamp(0.0, 1.0)
+            weight = weight * ((high - along) / cell + 0.5).clamp(0.0, 1.0)
         mean: Tensor = (weight @ moved) / weight.sum().clamp(min=self.least)
         return mean
 

@@ -170,9 +170,8 @@ class OutlineSettings(LengthsSettings):
                 places = np.stack([*self.table(path, ("x", "z")).values()], axis=1)
                 require(len(places) > 2, "", "three vertices along the outline or more", len(places))
                 polygons = [shapely.Polygon(places)]
-                require(
-                    polygons[0].is_valid, "", "vertices in order along the outline", "an outline that crosses itself"
-                )
+                crossed = "an outline that crosses itself"
+                require(polygons[0].is_valid, "", "vertices in order along the outline", crossed)
             else:
                 features = read_polygons(path, crs)
                 # Our own file has what the flow covered beside the deposit, for each threshold.
@@ -190,10 +189,8 @@ class OutlineSettings(LengthsSettings):
                 raise InputError(f"expected an outline within the box, got x and z from its corner from {got} m")
         operator = Boundary(scene, region, thickness)
         if thickness is None and operator.thickness > THICK * min(map(least_thickness, scene.masses)):
-            said = (
-                f"the model's outline is where it is {operator.thickness:.2g} m thick; `thickness` says what was mapped"
-            )
-            warnings.warn(f"{path}: {said}", stacklevel=2)
+            said = f"the model's outline is where it is {operator.thickness:.2g} m thick"
+            warnings.warn(f"{path}: {said}; `thickness` says what was mapped", stacklevel=2)
         return self.around(operator)
 
     def of_run(self, scene: Scene, run: Trajectory) -> Target:

@@ -62,9 +62,8 @@ def plan_grid(scene: Scene, cell: float) -> Grid:
 
 def volume_over(grid: Grid, positions: Tensor, volumes: Tensor) -> Tensor:
     """Volume [m^3] in each cell of `grid`, shape [K], of particles [N, 3] with `volumes` [N]; differentiable."""
-    scaled = (positions[:, ::2].double() - torch.from_numpy(np.array(grid.origin))) / torch.from_numpy(
-        np.array(grid.spacing)
-    )
+    origin, spacing = (torch.from_numpy(np.array(lengths)) for lengths in (grid.origin, grid.spacing))
+    scaled = (positions[:, ::2].double() - origin) / spacing
     last = torch.tensor(grid.nodes) - 1
     within = ((scaled > -0.5) & (scaled < last + 0.5)).all(dim=1)
     scaled = torch.minimum(scaled[within].clamp(min=0.0), last.double())
@@ -167,9 +166,8 @@ class ThicknessSettings(ObservationSettings):
             if released is not None and not self.peak:
                 volume = float(np.nansum(values / factors(scene, grid, self.direction)) * math.prod(grid.spacing))
                 most = TOO_MUCH * released * scene.domain.size[2]
-                require(
-                    volume <= most, "", f"a volume of at most {most:.4g} m^3, twice the released one", f"{volume:.4g}"
-                )
+                expected = f"a volume of at most {most:.4g} m^3, twice the released one"
+                require(volume <= most, "", expected, f"{volume:.4g}")
             return self.measured(scene, grid, values)
 
     def surveyed(self, scene: Scene, path: Path) -> tuple[Grid, Values]:
@@ -226,17 +224,14 @@ def blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Grid,
     places, kept = (raster.x - corner[0], raster.z - corner[1]), []
     for at, side in zip(places, plan_sides(scene), strict=True):
         kept.append(np.flatnonzero((at > 0.0) & (at < side)))
-        require(
-            len(kept[-1]) > 0, "", f"cells between 0 and {side:g} m from the corner of the box", "none of them there"
-        )
+        expected = f"cells between 0 and {side:g} m from the corner of the box"
+        require(len(kept[-1]) > 0, "", expected, "none of them there")
     width = math.ceil(scene.domain.cell / min(raster.spacing) - 1e-6)
     width = max(width, math.ceil(math.sqrt(len(kept[0]) * len(kept[1]) / MOST)))
     counts = tuple(max(1, len(indices) // width) for indices in kept)
-    width_x, width_z = (min(width, len(indices)) for indices in kept)
-    rows = [indices[: count * block] for indices, count, block in zip(kept, counts, (width_x, width_z), strict=True)]
+    width_x, width_z = widths = tuple(min(width, len(indices)) for indices in kept)
+    rows = [indices[: count * block] for indices, count, block in zip(kept, counts, widths, strict=True)]
     cut = raster.values[np.ix_(*rows)].reshape(counts[0], width_x, counts[1], width_z)
     spacing = (raster.spacing[0] * width_x, raster.spacing[1] * width_z)
-    origin = tuple(
-        float(at[row[:block]].mean()) for at, row, block in zip(places, rows, (width_x, width_z), strict=True)
-    )
+    origin = tuple(float(at[row[:block]].mean()) for at, row, block in zip(places, rows, widths, strict=True))
     return Grid(origin, spacing, counts), np.asarray(cut.mean(axis=(1, 3)).ravel())

@@ -80,9 +80,8 @@ class Profile(Observation):
     def heights(self, positions: NDArray[np.floating]) -> Values:
         """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
         held, volumes = self.held(positions), particle_volumes(self.scene, len(positions))
-        return np.asarray(
-            self.sampling @ measures.height_profile(positions[held], volumes[held] / self.width, self.fine)
-        )
+        heights = measures.height_profile(positions[held], volumes[held] / self.width, self.fine)
+        return np.asarray(self.sampling @ heights)
 
     def held(self, positions: Any) -> Any:
         """Which of positions [N, D] lie between the ends, shape [N]."""
@@ -209,9 +208,8 @@ class ProfileSettings(LengthsSettings):
         roughness = profile.roughness(stated)
         draws = np.random.default_rng(0).standard_normal((DRAWS, len(profile.x)))
         heights = np.maximum(profile.height + roughness * stated * draws, 0.0)
-        numbers = [
-            operator.of_heights(MeasuredProfile(x=profile.x, height=row).at(operator.stations)) for row in heights
-        ]
+        measured = (MeasuredProfile(x=profile.x, height=row) for row in heights)
+        numbers = [operator.of_heights(drawn.at(operator.stations)) for drawn in measured]
         off = np.stack(numbers) - np.mean(numbers, axis=0)
         errors = Covariance.of(np.asarray(off.T @ off / (DRAWS - 1.0)))
         return Target(observation=operator, values=values, errors=errors, profile=profile, roughness=roughness)

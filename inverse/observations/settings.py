@@ -135,6 +135,11 @@ class TabulatedSettings(ObservationSettings):
     """Those that may be absent."""
 
     @property
+    def count(self) -> int:
+        """How many numbers stand under `values`."""
+        return len(getattr(self, "values", None) or ())
+
+    @property
     def metres(self) -> float:
         """What a length of 1 is in its table [m]."""
         return 1.0

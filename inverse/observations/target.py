@@ -87,15 +87,8 @@ def without(target: Target, name: str) -> tuple[Target, NDArray[np.int64]]:
     left, whole = np.concatenate(index), target.observation
     scale = np.broadcast_to(whole.scale, len(target.values))[left]
     prior = scale * whole.prior_scatter(target.values)[left]
-    some = replace(
-        target,
-        observation=Joint(parts, scale, prior),
-        values=target.values[left],
-        errors=target.errors.some(left),
-        dof=None,
-        stated=None,
-    )
-    return some, left
+    observation, values, errors = Joint(parts, scale, prior), target.values[left], target.errors.some(left)
+    return replace(target, observation=observation, values=values, errors=errors, dof=None, stated=None), left
 
 
 def joined(targets: Sequence[Target], names: Sequence[str]) -> Target:

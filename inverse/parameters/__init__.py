@@ -210,9 +210,7 @@ def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str
                 for name, bound in zip(("lower", "upper"), parameter.bounds, strict=True):
                     alone = [*initial[:row], bound, *initial[row + 1 :]]
                     check_scene(scene, together, alone, f"{place}.{name}")
-            where = ", ".join(
-                f"{parameter.name} = {value:.4g}" for parameter, value in zip(together, values, strict=True)
-            )
+            where = ", ".join(f"{number.name} = {value:.4g}" for number, value in zip(together, values, strict=True))
             raise InputError(f"{error.message} with {where}, all within their bounds", key=key) from None
 
 

@@ -21,7 +21,7 @@ with M the mass and G_a the stiffness along axis a: a field from white noise w, 
 operator continues by a correlation length beyond the field; S takes its nodes and scales each to the stated deviation.
 """
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -60,14 +60,10 @@ BYTES = 24
 BED = "friction"
 """What varies over a terrain: the last part of `solids[0].friction`."""
 UNITS = {FRICTION: "deg", THICKNESS: "m", BED: ""} | dict.fromkeys(VELOCITIES, "m/s")
-LABELS = {FRICTION: "friction", THICKNESS: "thickness", BED: "friction of the bed"} | {
-    name: f"velocity along {name[-1]}" for name in VELOCITIES
-}
-BOUNDED = {
-    FRICTION: "friction, in (0, 90) degrees",
-    THICKNESS: "thickness, above 0 m",
-    BED: "coefficient, of at least 0",
-}
+LABELS = {FRICTION: "friction", THICKNESS: "thickness", BED: "friction of the bed"}
+LABELS |= {name: f"velocity along {name[-1]}" for name in VELOCITIES}
+BOUNDED = {FRICTION: "friction, in (0, 90) degrees", THICKNESS: "thickness, above 0 m"}
+BOUNDED |= {BED: "coefficient, of at least 0"}
 """Quantities that are impossible beyond some values."""
 MOST_ZONES = 1000
 DIGITS, UNEVEN = 9, 1.0e-7
@@ -209,22 +205,19 @@ class UnknownField:
             rows = np.round(self.weights(self.posts(scene)) @ values, DIGITS).reshape(shape)
             # One friction of all posts is one number to the solver, of which there is one derivative.
             rows[0, 0] += UNEVEN if np.ptp(rows) == 0.0 else 0.0
-            solids[settings.solid] = dataclasses.replace(
-                solids[settings.solid], friction=tuple(map(tuple, rows.tolist()))
-            )
-            return dataclasses.replace(scene, solids=tuple(solids))
+            solids[settings.solid] = replace(solids[settings.solid], friction=tuple(map(tuple, rows.tolist())))
+            return replace(scene, solids=tuple(solids))
         place = {"origin": grid.origin, "spacing": grid.spacing, "nodes": grid.nodes, "mass": settings.mass}
         field = Field(quantity=settings.quantity, values=tuple(values.tolist()), **place)  # type: ignore[arg-type]
         others = (other for other in scene.fields if (other.quantity, other.mass) != (settings.quantity, settings.mass))
-        return dataclasses.replace(scene, fields=(*others, field))
+        return replace(scene, fields=(*others, field))
 
     def truth(self, scene: Scene) -> Floats | None:
         """What `scene` itself has of it at the nodes, of a zone the mean over its posts, [K]; None without any."""
         settings = self.settings
         if settings.solid is None:
-            same = [
-                field for field in scene.fields if (field.quantity, field.mass) == (settings.quantity, settings.mass)
-            ]
+            of_this = settings.quantity, settings.mass
+            same = [field for field in scene.fields if (field.quantity, field.mass) == of_this]
             return same[0].weights(self.grid.positions) @ np.array(same[0].values) if same else None
         axes, _, friction = ground_grid(scene.solids[settings.solid], f"solids[{settings.solid}]", scene.domain)
         if self.zones is None:
@@ -271,7 +264,7 @@ class UnknownField:
         solid, weights = scene.solids[self.settings.solid or 0], self.weights(self.posts(scene)).toarray()
         # Where the ground has a post from: numbers of posts in place of their friction.
         numbers = np.arange(len(weights)).reshape(np.array(solid.heights).shape)
-        numbered = dataclasses.replace(solid, friction=tuple(map(tuple, numbers.astype(float).tolist())))
+        numbered = replace(solid, friction=tuple(map(tuple, numbers.astype(float).tolist())))
         return np.asarray(weights[ground_grid(numbered, "solids", scene.domain)[2].astype(int)])
 
     def on_bed(self, scene: Scene, plan: Floats) -> Floats:
@@ -306,10 +299,8 @@ class Zones:
             np.clip(np.rint((plan[:, n] - axis[0]) / (axis[1] - axis[0])), 0, len(axis) - 1).astype(int)
             for n, axis in enumerate(self.axes)
         ]
-        rows = np.arange(len(plan))
-        return sparse.csr_array(
-            (np.ones(len(plan)), (rows, self.which[tuple(nearest)])), (len(plan), len(self.numbers))
-        )
+        ones = np.ones(len(plan)), (np.arange(len(plan)), self.which[tuple(nearest)])
+        return sparse.csr_array(ones, (len(plan), len(self.numbers)))
 
 
 def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple[float, ...], float, float]:
@@ -324,9 +315,8 @@ def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple
         dimension -= 1
     else:
         plain = name in (quantity, f"masses[{settings.mass}].{quantity}")
-        expected = (
-            f"one of {', '.join(kinds)}, of all masses or as masses[0].{kinds[0]}, or solids[0].friction, for a field"
-        )
+        listed = ", ".join(kinds)
+        expected = f"one of {listed}, of all masses or as masses[0].{kinds[0]}, or solids[0].friction, for a field"
         require(plain and quantity in kinds, "name", expected, repr(name))
         require(settings.mass is None or settings.mass in masses, "name", f"a mass of 0 to {masses[-1]}", settings.mass)
         require(settings.zones is None, "zones", "none but of the friction of a terrain", settings.zones)

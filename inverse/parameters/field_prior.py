@@ -38,10 +38,8 @@ class FieldPrior:
         # Along an axis with one node the field does not vary.
         dimension = sum(count > 1 for count in grid.nodes)
         scales = np.array(lengths) / math.sqrt(8.0 * (2.0 - 0.5 * dimension))  # nu
-        margins = [
-            0 if count == 1 else math.ceil(length / step)
-            for count, length, step in zip(grid.nodes, lengths, grid.spacing, strict=True)
-        ]
+        sides = zip(grid.nodes, lengths, grid.spacing, strict=True)
+        margins = [0 if count == 1 else math.ceil(length / step) for count, length, step in sides]
         shape = [count + 2 * margin for count, margin in zip(grid.nodes, margins, strict=True)]
         masses = [lumped_mass(count, step) for count, step in zip(shape, grid.spacing, strict=True)]
         operator = mass = reduce(sparse.kron, masses)

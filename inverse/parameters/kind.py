@@ -29,13 +29,13 @@ Input = Callable[[Any, InitialState, Tensor], InitialState]
 """A kind, an initial state and a value -> the initial state with this value, differentiable in it."""
 T = TypeVar("T", float, Tensor)
 UP = 1
-WITHOUT = {
-    "softening_length": "it never falls to a residual strength",
-    "friction_limit_deg": "its friction does not grow with the rate",
-    "permeability": "its water does not flow",
-    "consolidation": "its water does not flow",
-}
+WITHOUT = dict.fromkeys(("permeability", "consolidation"), "its water does not flow")
+WITHOUT |= {"softening_length": "it never falls to a residual strength"}
+WITHOUT |= {"friction_limit_deg": "its friction does not grow with the rate"}
 """What a material does without a constant that another one requires."""
+OWNERS = {"thickness": "a mass of kind layer", "discharge_factor": "an inflow"}
+OWNERS |= dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
+"""What has an attribute; other attributes are those of surfaces."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,10 +98,7 @@ class Kind:
         if self.form == "masses[].height" and (kind := self.holder(scene).kind) != "box":
             raise InputError(f"expected a mass of kind box, got a {kind}")
         if self.axis is None and not isinstance(getattr(self.holder(scene), self.key, 0.0), float | int):
-            masses = dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
-            owner = {"thickness": "a mass of kind layer", "discharge_factor": "an inflow", **masses}.get(
-                self.key, "a surface"
-            )
+            owner = OWNERS.get(self.key, "a surface")
             raise InputError(f"expected {owner} whose {self.key} is a number in the scene, its own is none")
 
     def idle(self, scene: Scene) -> str:

@@ -156,29 +156,22 @@ class JointPrior:
 
     def __call__(self, points: Matrix) -> Matrix:
         """Logarithm of its density over the uniform one at points [S, U], shape [S]."""
-        values = self.lower + self.range * points
-        log_density = sum(
-            marginal.log_density(column) for marginal, column in zip(self.marginals, values.T, strict=True)
-        )
+        columns = [*zip(self.marginals, (self.lower + self.range * points).T, strict=True)]
+        log_density = sum(marginal.log_density(column) for marginal, column in columns)
         if not np.array_equal(self.correlation, np.eye(len(self.range))):
-            shares = np.stack(
-                [marginal.share(column) for marginal, column in zip(self.marginals, values.T, strict=True)], axis=1
-            )
+            shares = np.stack([marginal.share(column) for marginal, column in columns], axis=1)
             scores = ndtri(np.clip(shares, LEAST_SHARE, 1.0 - LEAST_SHARE))
             more = np.linalg.inv(self.correlation) - np.eye(len(self.range))
-            log_density = log_density - 0.5 * (
-                np.linalg.slogdet(self.correlation)[1] + ((scores @ more) * scores).sum(axis=1)
-            )
+            determinant = np.linalg.slogdet(self.correlation)[1]
+            log_density = log_density - 0.5 * (determinant + ((scores @ more) * scores).sum(axis=1))
         return np.maximum(log_density, LOWEST)
 
     def at(self, shares: Matrix) -> Matrix:
         """Points of it for independent uniform numbers, both [..., U]."""
         scores = ndtri(np.clip(shares, LEAST_SHARE, 1.0 - LEAST_SHARE)) @ np.linalg.cholesky(self.correlation).T
-        values = [
-            marginal.at(ndtr(column))
-            for marginal, column in zip(self.marginals, np.moveaxis(scores, -1, 0), strict=True)
-        ]
-        return np.asarray((np.stack(values, axis=-1) - self.lower) / self.range)
+        columns = zip(self.marginals, np.moveaxis(scores, -1, 0), strict=True)
+        values = np.stack([marginal.at(ndtr(column)) for marginal, column in columns], axis=-1)
+        return np.asarray((values - self.lower) / self.range)
 
     @cached_property
     def filling(self) -> Matrix:

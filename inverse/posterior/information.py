@@ -35,9 +35,8 @@ def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> 
     edges = [np.linspace(0.0, extent, STATIONS + 1)]
     edges += [np.linspace(0.0, width, ACROSS + 1) for width in scene.domain.size[2:]]
     plan = deposit[:, [0, 2][: len(edges)]]
-    heights = np.histogramdd(plan, bins=edges, weights=volumes)[0] / np.prod(
-        [borders[1] - borders[0] for borders in edges]
-    )
+    area = np.prod([borders[1] - borders[0] for borders in edges])
+    heights = np.histogramdd(plan, bins=edges, weights=volumes)[0] / area
     for index in np.ndindex(heights.shape):
         middles = (0.5 * (borders[number] + borders[number + 1]) for borders, number in zip(edges, index, strict=True))
         location = ", ".join(f"{axis} = {middle:.3g} m" for axis, middle in zip("xz", middles, strict=False))

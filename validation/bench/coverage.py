@@ -114,16 +114,11 @@ def bench(
 ) -> str:
     """Solve twin experiments with truths from the prior, side by side, each on one thread.
 
-    Parameters
-    ----------
-    twins
-        Of each family, in place of its own number.
-    only
-        Families of `coverage.toml` to solve; the page has all that there are in KEEP.
-    model
-        Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
-    jobs
-        Processes that solve a twin each; one per processor unless given.
+    Args:
+        twins: Of each family, in place of its own number.
+        only: Families of `coverage.toml` to solve; the page has all that there are in KEEP.
+        model: Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
+        jobs: Processes that solve a twin each; one per processor unless given.
     """
     if unknown := [name for name in only if name not in FAMILIES]:
         raise InputError(f"expected a family: {suggestion(unknown[0], FAMILIES)}", where=unknown[0], key="--only")
@@ -269,9 +264,8 @@ def uniformity(twins: Sequence[Twin]) -> float:
 
 def ranks(twins: Sequence[Twin]) -> float:
     """Least p-value over the numbers of their ranks, if these were uniform, times how many there are."""
-    counts = [
-        np.histogram([twin.below[name] for twin in twins], bins=BINS, range=(0.0, 1.0))[0] for name in twins[0].below
-    ]
+    by_name = ([twin.below[name] for twin in twins] for name in twins[0].below)
+    counts = [np.histogram(below, bins=BINS, range=(0.0, 1.0))[0] for below in by_name]
     return min(1.0, len(counts) * float(min(chisquare(count).pvalue for count in counts)))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from datasets.flow.trajectory import Trajectory
 from inverse.observations import ArrivalSettings, FrontSettings, GaugesSettings
 from mpm import ALL, AT_REST
-from validation.bench.page import Keep, Out, Row, emphasised, percent, signed, tables, write_page
+from validation.bench.page import Keep, Out, Row, emphasised, percent, tables, write_page
 from validation.experiments.experiment import (
     FOLDER,
     Angle,
@@ -115,10 +115,8 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
 
     Raises InputError for an experiment that cannot be read.
 
-    Parameters
-    ----------
-    experiments
-        Folder that holds a folder for each experiment; those that ship unless given.
+    Args:
+        experiments: Folder that holds a folder for each experiment; those that ship unless given.
     """
     read = read_experiments(experiments)
     with kept(keep) as folder:
@@ -173,12 +171,8 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
         return [], None
     fine = run(1, [first])
     deg = first.deg + (extent.value - quantity(extent, fine[first])) / slope
-    inferred = Inferred(
-        label=f"{experiment.name}, {case.name}",
-        own=experiment.angles[0] if readings else None,
-        deg=deg,
-        half_width_deg=abs(CLOSE * extent.spread / slope),
-    )
+    label, own = f"{experiment.name}, {case.name}", experiment.angles[0] if readings else None
+    inferred = Inferred(label=label, own=own, deg=deg, half_width_deg=abs(CLOSE * extent.spread / slope))
     again = replace(first, deg=deg)
     if not readings and case.measured[1:]:
         # Where no angle was measured, what else was is held against a run at the inferred one.
@@ -187,7 +181,7 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
     def score(measured: Measured, reading: Reading) -> CaseScore:
         computed = [quantity(measured, flows[reading]) if reading in flows else math.nan for flows in (coarse, fine)]
         return CaseScore(
-            label=f"{inferred.label}, {measured.quantity}",
+            label=f"{label}, {measured.quantity}",
             measured=measured,
             angle=str(reading),
             independent=bool(readings),
@@ -243,22 +237,14 @@ def section(label: str, experiment: Experiment, predictions: Sequence[Predicted]
             row[f"thickest at {at:g} m [m]"] = f"{series.max():.3f} at {predicted.time[series.argmax()]:.1f} s"
         rows.append({**row, "farthest front [m]": f"{predicted.front.max():.1f}"})
     half = len(predictions) // 2
-    moved = [
-        abs(fine.arrivals / coarse.arrivals - 1.0)
-        for coarse, fine in zip(predictions[:half], predictions[half:], strict=True)
-    ]
+    both = zip(predictions[:half], predictions[half:], strict=True)
+    moved = [abs(fine.arrivals / coarse.arrivals - 1.0) for coarse, fine in both]
     said = f"Half the cell moves the arrivals by at most {percent(float(np.max(moved)))}."
-    choices = [
-        f"- {assumption['what']}: {assumption['choice']}; {assumption['reason']}."
-        for assumption in experiment.assumptions
-    ]
-    variants = [
-        f"- {variant.name}: {variant.source}."
-        for prediction in experiment.predictions
-        for variant in prediction.variants
-    ]
+    variants = [variant for prediction in experiment.predictions for variant in prediction.variants]
+    lines = [f"- {variant.name}: {variant.source}." for variant in variants]
+    lines += [f"- {made['what']}: {made['choice']}; {made['reason']}." for made in experiment.assumptions]
     parts = [f"### {label}", f"{experiment.title}. {experiment.what}", tables([rows]), said, f"![{label}]({picture})"]
-    return "\n\n".join([*parts, "\n".join([*variants, *choices])])
+    return "\n\n".join([*parts, "\n".join(lines)])
 
 
 def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float]:
@@ -310,8 +296,9 @@ def conclusion(firsts: Sequence[CaseScore], angles: Sequence[Inferred]) -> list[
         f"With independently measured angles of friction and nothing fitted, {sum(score.agrees for score in scores)} of"
         f" {len(scores)} computed lengths lie within {CLOSE:g} spreads of the measured ones; the largest error is"
         f" {largest.error:+.1f} spreads ({largest.label}).",
-        f"Fronts are {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average, {signed(min(far))} to"
-        f" {signed(max(far))}; finer cells move them by at most {percent(moved)}.",
+        f"Fronts are {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average,"
+        f" {percent(min(far), '+.1f')} to {percent(max(far), '+.1f')}; finer cells move them by at most"
+        f" {percent(moved)}.",
         f"The angle inferred from a front is {abs(np.mean(off)):.1f}° {'above' if sum(off) > 0.0 else 'below'} the"
         f" measured one on average, {min(off):+.1f}° to {max(off):+.1f}°; the ranges of"
         f" {sum(angle.agrees for angle in inferred)} of {len(inferred)} cases overlap.",

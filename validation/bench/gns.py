@@ -97,10 +97,8 @@ Mounds = Mapping[tuple[float, float], Mapping[str, float]]
 def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     """Compare models with the MPM on fine cells; some twenty minutes, most of them for the references.
 
-    Parameters
-    ----------
-    model
-        A model's file or the name of one that ships, once or more often; all that ship unless given.
+    Args:
+        model: A model's file or the name of one that ships, once or more often; all that ship unless given.
     """
     paths = {path: gns.load(path).settings.dimension for path in [model_path(file) for file in model] or models()}
     with kept(keep) as folder:
@@ -154,24 +152,16 @@ def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequen
     pairs = [*zip(scenes, references, again, strict=True)]
     for (kind, scene), reference, other in tqdm(pairs, desc=f"{family}, deposits", unit="scene"):
         truth = deposit_of(reference)
-        flows = {
-            f"MPM, {across} cells across": simulate(coarse(scene, across), threads=1, record=AT_REST)
-            for across in cells
-        }
+        flows = {f"MPM, {n} cells across": simulate(coarse(scene, n), threads=1, record=AT_REST) for n in cells}
         flows |= {path.stem: gns.simulate(scene, model=simulator), AGAIN: other}
         by = {method: truth.errors(flow.positions[-1], flow.volumes) for method, flow in flows.items()}
         if reference.summary["rest_time"] is not None:
             longer = gns.simulate(replace(scene, duration=AFTER * scene.duration), model=simulator)
             by[path.stem] = replace(by[path.stem], creep=measures.creep(longer.positions, longer.frame_dt))
+        seconds = {method: flow.summary["wall_s"] for method, flow in flows.items()}
+        ends = None if truth.at_wall or truth.side != 1 else band(path, scene, truth.front)
         compared.append(
-            Compared(
-                kind=kind,
-                extent=truth.extent,
-                free=not truth.at_wall,
-                by=by,
-                seconds={method: flow.summary["wall_s"] for method, flow in flows.items()},
-                band=None if truth.at_wall or truth.side != 1 else band(path, scene, truth.front),
-            )
+            Compared(kind=kind, extent=truth.extent, free=not truth.at_wall, by=by, seconds=seconds, band=ends)
         )
     torch.set_num_threads(threads)
     return ModelErrors(name=path.stem, family=family, compared=compared)

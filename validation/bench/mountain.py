@@ -116,10 +116,9 @@ def energy_line(data: Path, cell: float, raised: float, folder: Path) -> Found:
     dem, release = only(data, "*.asc"), only(data, "*.shp")
     ground, path = read_raster(dem), folder / f"slide-{cell:g}-{raised:g}.toml"
     corner = [float(axis[0]) - 0.5 * ground.spacing[0] for axis in (ground.x, ground.z)]
-    write_raster(path.with_suffix(".tif"), ground.values + raised, ground.spacing[0], corner, None, "elevation", "m")
-    site.command(
-        path.with_suffix(".tif"), release=release, out=path, friction=SLIDING, internal_friction=STEEP, cell=cell
-    )
+    raster = path.with_suffix(".tif")
+    write_raster(raster, ground.values + raised, ground.spacing[0], corner, None, "elevation", "m")
+    site.command(raster, release=release, out=path, friction=SLIDING, internal_friction=STEEP, cell=cell)
     flow = simulate(read_scene(path), record=Recording(until_rest=True), progress=True)
     start, end = (flow.positions[frame].mean(axis=0, dtype=np.float64) for frame in (0, -1))
     east, _, north = start + flow.scene.domain.corner
@@ -153,17 +152,15 @@ def sliding_point(x: Floats, height: Floats, start: float, friction: float) -> f
 def alike(maps: PlanMaps, places: Sequence[Floats], beside: Raster) -> Found:
     """How a run compares with another code cell by cell: plan overlap and ratio of the peak speeds (median)."""
     assert maps.velocity is not None
-    nearest = [
-        np.abs(axis[:, None] - place[None]).argmin(axis=0)
-        for axis, place in zip((beside.x, beside.z), places, strict=True)
-    ]
+    both = zip((beside.x, beside.z), places, strict=True)
+    nearest = [np.abs(axis[:, None] - place[None]).argmin(axis=0) for axis, place in both]
     theirs, ours = beside.values[np.ix_(*nearest)], maps.velocity
     here, there = ours > MOVES, theirs > MOVES
     # What the other reached outside of our box counts as missed.
     missed = int((beside.values > MOVES).sum()) - int(there.sum())
-    both = here & there
-    overlap = both.sum() / ((here | there).sum() + max(0, missed))
-    return {"overlap": float(overlap), "faster": float(np.median(ours[both] / theirs[both]))}
+    common = here & there
+    overlap = common.sum() / ((here | there).sum() + max(0, missed))
+    return {"overlap": float(overlap), "faster": float(np.median(ours[common] / theirs[common]))}
 
 
 def peaks(case: Slide, places: Sequence[Floats], speed: Floats, thickness: float) -> Found:
@@ -191,17 +188,12 @@ def bench(
 ) -> str:
     """Measure slides of kilometres on rasters of some 300,000 posts: how far, how fast, at what price.
 
-    Parameters
-    ----------
-    data
-        Folder of the comparison, with a folder for each case, or of one case: terrain, release, parameters and peaks of
-        other codes.
-    case
-        Those to measure.
-    cells
-        Edges of the grid's cells [m], coarse ones first; unless given, of each case its own.
-    slide
-        Folder of avaSlide (AvaFrame): its raster and its release; unless given it is left out.
+    Args:
+        data: Folder of the comparison, with a folder for each case, or of one case: terrain, release, parameters and
+            peaks of other codes.
+        case: Those to measure.
+        cells: Edges of the grid's cells [m], coarse ones first; unless given, of each case its own.
+        slide: Folder of avaSlide (AvaFrame): its raster and its release; unless given it is left out.
     """
     require(all(0.5 <= cell <= 10.0 for cell in cells), "--cells", "edges from 0.5 to 10 m", list(cells))
     require(set(case) <= set(CASES), "--case", f"some of {', '.join(CASES)}", list(case))

@@ -37,14 +37,9 @@ Row = Mapping[str, object]
 """A row of a table: its cells by column heading."""
 
 
-def percent(fraction: float) -> str:
+def percent(fraction: float, form: str = ".2g") -> str:
     """0.0213 as 2.1 %; nan as -."""
-    return "-" if math.isnan(fraction) else f"{100.0 * fraction:.2g} %"
-
-
-def signed(fraction: float) -> str:
-    """0.0213 as +2.1 %; nan as -."""
-    return "-" if math.isnan(fraction) else f"{100.0 * fraction:+.1f} %"
+    return "-" if math.isnan(fraction) else f"{100.0 * fraction:{form}} %"
 
 
 def between(values: Collection[float], form: str) -> str:

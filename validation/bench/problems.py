@@ -150,11 +150,8 @@ class Outcome:
     @property
     def missed(self) -> list[str]:
         """Criteria that it does not meet, with what came out."""
-        asked, result, numbers = (
-            self.criteria,
-            self.result,
-            [number for number in self.numbers if number.truth is not None],
-        )
+        asked, result = self.criteria, self.result
+        numbers = [number for number in self.numbers if number.truth is not None]
         front, loss = result["error_pct"].get("front") or 0.0, result["loss"].get("mpm") or 0.0
         inside, most = sum(number.inside for number in numbers), asked.unknown_error_pct
         scales = [(number, 100.0 / abs(number.truth)) for number in numbers if number.truth]
@@ -180,10 +177,8 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
     A result is kept in KEEP/NAME, one with the surrogate in KEEP/NAME-gns, one without in KEEP/NAME-none, until the
     problem or the surrogate's weights change. Raises WorkFailed, once the page is written, where one could not be run.
 
-    Parameters
-    ----------
-    only
-        Solve these alone; the page has all that there are.
+    Args:
+        only: Solve these alone; the page has all that there are.
     """
     names = [name for family in FAMILIES for name in family.problems]
     if unknown := [name for name in only if name not in names]:
@@ -258,9 +253,8 @@ def section(title: str, problems: Sequence[Outcomes]) -> str:
     table = fields or [row for ways in problems for row in rows(ways)]
     filled = {key for row in table for key, cell in row.items() if cell != ""}
     table = [{key: cell for key, cell in row.items() if key in filled} for row in table]
-    missed = [
-        f"- `{outcome.problem.name}`, {outcome.way}: {'; '.join(outcome.missed)}" for outcome in every if outcome.missed
-    ]
+    short = [outcome for outcome in every if outcome.missed]
+    missed = [f"- `{outcome.problem.name}`, {outcome.way}: {'; '.join(outcome.missed)}" for outcome in short]
     return "\n\n".join([f"## {title}", tables([table]), "\n".join(missed)]).rstrip()
 
 
@@ -380,9 +374,8 @@ def draw(path: Path, solved: Sequence[Outcomes]) -> None:
                     ends = [[answer.found - answer.low], [answer.high - answer.found]]
                     style = {"color": COLOURS[way], "fmt": "o", "ms": 4, "capsize": 2, "label": f"{way}, 95 %"}
                     axis.errorbar(answer.off(answer.found), row + shift, xerr=ends, **style)
-                    axis.plot(
-                        answer.off(answer.surrogate), row, "D", color=GREY, ms=4, mfc="none", label="surrogate alone"
-                    )
+                    style = {"color": GREY, "ms": 4, "mfc": "none", "label": "surrogate alone"}
+                    axis.plot(answer.off(answer.surrogate), row, "D", **style)
                     axis.plot(answer.off(answer.paper), row, "x", color=RED, label="paper")
             axis.set_yticks(range(len(shown)), [label for label, _ in shown])
             axis.set(xlabel=f"value less the true one [{unit}]")

@@ -13,14 +13,11 @@ def main(problem: str, /, *, out: Path, scheduler: str | None = None) -> None:
     Leaves OUT/design.json, OUT/report.md, OUT/design.png, OUT/mpm. Running the same command again after a kill uses the
     MPM runs that are there. Exit status 1 where the MPM does not confirm the design.
 
-    Parameters
-    ----------
-    problem
-        Path of a design problem in TOML, or the name of a shipped one.
-    out
-        Folder for the results.
-    scheduler
-        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM.
+    Args:
+        problem: Path of a design problem in TOML, or the name of a shipped one.
+        out: Folder for the results.
+        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the
+            MPM.
     """
     # Imported here: torch takes seconds to load, and help has no use for it.
     from contextlib import nullcontext

@@ -19,7 +19,7 @@ from datasets.flow.array_files import read_arrays
 from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.forces import forces_of
 from datasets.scene import Scene
-from datasets.scene.library import SCENES, find, read_scene, scene_from
+from datasets.scene.library import find, read_scene, scene_from
 from datasets.schema import Bounds, Record, from_mapping
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, check_parameters, with_kinds
@@ -154,16 +154,11 @@ class DesignProblem(_Keys):
     """Unknown fields, each with draws of its posterior, shape [S, K]; of one draw all are together."""
 
     def __post_init__(self) -> None:
-        groups = {"variables": self.variables, "uncertain": self.uncertain}
-        for group, members in groups.items():
-            require(
-                len(members) > 0 or (group == "uncertain" and bool(self.fields)), group, "at least one number", "none"
-            )
-        by_key = {
-            f"{group}[{index}]": parameter
-            for group, members in groups.items()
-            for index, parameter in enumerate(members)
-        }
+        by_key = dict[str, Parameter]()
+        for group, members in {"variables": self.variables, "uncertain": self.uncertain}.items():
+            some = len(members) > 0 or (group == "uncertain" and bool(self.fields))
+            require(some, group, "at least one number", "none")
+            by_key |= {f"{group}[{index}]": parameter for index, parameter in enumerate(members)}
         for key, parameter in by_key.items():
             require(parameter.initial is None, f"{key}.initial", "no start of a search", parameter.initial)
             require(not parameter.is_field, f"{key}.spacing", "a number", "a field")
@@ -228,9 +223,8 @@ class DesignProblem(_Keys):
 
     def named(self, design: Row) -> dict[str, float]:
         """The variables by name of a design [K] in fractions of the ranges."""
-        return {
-            variable.name: float(value) for variable, value in zip(self.variables, self.values(design), strict=True)
-        }
+        both = zip(self.variables, self.values(design), strict=True)
+        return {variable.name: float(value) for variable, value in both}
 
     def values(self, designs: Matrix) -> Matrix:
         """The variables of designs [..., K] in fractions of their ranges, in their own units, shape [..., K]."""
@@ -239,9 +233,8 @@ class DesignProblem(_Keys):
 
     def price(self, designs: Matrix) -> Row:
         """c . d of designs [..., K] in fractions of their ranges, shape [...]; 0 without a cost."""
-        return np.asarray(
-            self.values(designs) @ np.array([self.cost.get(variable.name, 0.0) for variable in self.variables])
-        )
+        prices = np.array([self.cost.get(variable.name, 0.0) for variable in self.variables])
+        return np.asarray(self.values(designs) @ prices)
 
     def draws(self, count: int, rng: np.random.Generator) -> Matrix:
         """Draws of what is uncertain, in fractions of the ranges: one in each of `count` parts, shape [count, Q].
@@ -288,14 +281,12 @@ def read_design(name: str | Path) -> DesignProblem:
         keys = dict(vars(file))
         if (posterior := keys.pop("posterior")) is not None:
             names, keys["samples"] = read_samples(path.parent / posterior)
-            ranges = zip(names, keys["samples"].min(axis=0), keys["samples"].max(axis=0), strict=True)
-            keys["uncertain"] += tuple(
-                Parameter(name=n, lower=float(low), upper=float(high)) for n, low, high in ranges
-            )
+            lower, upper = (end.tolist() for end in (keys["samples"].min(axis=0), keys["samples"].max(axis=0)))
+            ranges = zip(names, lower, upper, strict=True)
+            keys["uncertain"] += tuple(Parameter(name=name, lower=low, upper=high) for name, low, high in ranges)
         keys["fields"] = () if file.fields is None else read_fields(file.fields, path.parent)
         if isinstance(file.scene, str):
-            beside = path.parent / file.scene
-            keys["scene"] = read_scene(beside if file.scene.endswith(".toml") else find(file.scene, SCENES, "scene"))
+            keys["scene"] = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
         else:
             keys["scene"] = scene_from(file.scene, path.parent)
         if posterior is not None:

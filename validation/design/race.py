@@ -64,9 +64,8 @@ class Race:
         self.draws = draws[self.rng.permutation(MOST)]
         self.errors = np.zeros(1)
         """e [P]."""
-        self.entries = [
-            Entry(design) for design in qmc.Sobol(len(problem.variables), rng=problem.budget.seed).random(DESIGNS)
-        ]
+        cube = qmc.Sobol(len(problem.variables), rng=problem.budget.seed)
+        self.entries = [Entry(design) for design in cube.random(DESIGNS)]
         self.spent, self.rounds = 0, 0
 
     def kept(self, entry: Entry) -> tuple[int, int]:

@@ -121,18 +121,12 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
     search = search.ran(filling(count, fill, search.generator(0), repeats=CONSTANTS.repeats))
     for turn in range(ROUNDS):
         search = searched(search)
-        draws = problem.draws(problem.budget.checks, search.generator(3 + turn))
-        points = with_draws(search.knowledge.best, draws)
+        best, draws = search.knowledge.best, problem.draws(problem.budget.checks, search.generator(3 + turn))
+        points = with_draws(best, draws)
         # Checks are no part of the budget.
         search = replace(search, budget=search.budget + len(points)).ran(points)
-        design = Design(
-            problem=problem,
-            search=search,
-            best=search.knowledge.best,
-            points=points,
-            responses=search.numbers[-len(points) :, 0],
-            seconds=time.perf_counter() - began,
-        )
+        responses, seconds = search.numbers[-len(points) :, 0], time.perf_counter() - began
+        design = Design(problem=problem, search=search, best=best, points=points, responses=responses, seconds=seconds)
         if design.verdict is not Verdict.UNCONFIRMED:
             break
     return design

@@ -82,14 +82,10 @@ def record(outcome: Design | RacedDesign) -> dict[str, Any]:
         ]
         extra["waves"] = [wave.as_json() for wave in outcome.search.waves]
     else:
-        expected = {"predicted": outcome.expected}
+        expected, race = {"predicted": outcome.expected}, outcome.race
         extra["checks"] = outcome.responses.tolist()
         extra["pairs"] = {"predicted": outcome.pairs[0].tolist(), "mpm": outcome.pairs[1].tolist()}
-        extra |= {
-            "predictions": outcome.race.spent,
-            "designs": len(outcome.race.entries),
-            "predicting": outcome.predicting,
-        }
+        extra |= {"predictions": race.spent, "designs": len(race.entries), "predicting": outcome.predicting}
     return {
         "problem": problem.name,
         "verdict": outcome.verdict,

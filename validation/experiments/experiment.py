@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -239,10 +239,9 @@ class Experiment(Record):
         At the repose angle a flow stops: it is mu_s, and friction grows with the rate where that is known. At any other
         one, an avalanche's, grains begin to flow: it is the friction of all of the flow.
         """
+        known = self.grains is not None
         return tuple(
-            Reading(
-                name=angle.name, deg=angle.deg, angle=angle.angle, rate=angle.name == REPOSE and self.grains is not None
-            )
+            Reading(name=angle.name, deg=angle.deg, angle=angle.angle, rate=known and angle.name == REPOSE)
             for angle in self.angles
         )
 
@@ -252,13 +251,9 @@ class Experiment(Record):
         material = replace(scene.material, friction_deg=reading.deg, angle=reading.angle)
         if reading.rate and (grains := self.grains) is not None:
             limit = math.tan(math.radians(reading.deg)) + grains.friction_growth
-            material = replace(
-                material,
-                friction_limit_deg=math.degrees(math.atan(limit)),
-                inertial_number=grains.inertial_number,
-                grain_diameter=grains.grain_diameter,
-                grain_density=grains.grain_density,
-            )
+            constants = ("inertial_number", "grain_diameter", "grain_density")
+            known: dict[str, Any] = {name: getattr(grains, name) for name in constants}
+            material = replace(material, friction_limit_deg=math.degrees(math.atan(limit)), **known)
         cell = (case.cells or self.cells)[number]
         return replace(scene, domain=Domain(size=scene.domain.size, cell=cell), material=material)
 

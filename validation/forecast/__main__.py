@@ -23,24 +23,16 @@ def main(
     Leaves OUT/forecast.json, OUT/report.md, OUT/forecast.png, OUT/mpm, in 3D OUT/probability-*.tif. Running the same
     command again after a kill uses the MPM runs that are there.
 
-    Parameters
-    ----------
-    result
-        Folder of an inversion (`validation.loop` or `inverse`), or its posterior.npz.
-    scene
-        Path of a scene in TOML, or the name of a shipped one.
-    out
-        Folder for the results.
-    draws
-        Flows, each with a draw of the posterior and a jitter of its own.
-    model_error
-        Relative standard deviation of the model itself, such as 0.1.
-    threshold
-        In 3D the thickness [m] above which a cell counts as covered; unless given as `datasets.maps` has it.
-    pressure
-        In 3D a pressure rho v^2 [Pa], whose probability is mapped too.
-    scheduler
-        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM.
+    Args:
+        result: Folder of an inversion (`validation.loop` or `inverse`), or its posterior.npz.
+        scene: Path of a scene in TOML, or the name of a shipped one.
+        out: Folder for the results.
+        draws: Flows, each with a draw of the posterior and a jitter of its own.
+        model_error: Relative standard deviation of the model itself, such as 0.1.
+        threshold: In 3D the thickness [m] above which a cell counts as covered; unless given as `datasets.maps` has it.
+        pressure: In 3D a pressure rho v^2 [Pa], whose probability is mapped too.
+        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the
+            MPM.
     """
     # Imported here: torch takes seconds to load, and help has no use for it.
     from contextlib import nullcontext

@@ -140,10 +140,9 @@ def predicted(
     # One of each of as many equal parts of the posterior, in the order of its first number.
     ordered = samples[np.argsort(samples[:, 0], kind="stable")]
     chosen = ordered[((np.arange(draws) + rng.random(draws)) * len(ordered) / draws).astype(int)]
+    scenes = [at(scene, names, row, jitter_seed(scene.seed, number)) for number, row in enumerate(chosen)]
     record = recording_of(scene)
-    flows = store(
-        [at(scene, names, row, jitter_seed(scene.seed, number)) for number, row in enumerate(chosen)], record=record
-    )
+    flows = store(scenes, record=record)
     numbers, stations = [numbers_of(flow) for flow in flows], profile_stations(scene, scene.domain.cell)
     released, corner = initial_particles(scene), float(scene.domain.corner[0])
     forecast = Forecast(
@@ -228,10 +227,8 @@ def cells_error(
     except InputError:
         return {}
     flows = [numbers_of(flow) for flow in store(scenes, record=record)]
-    here, there = (
-        {name: float(np.mean([entry[name] for entry in part])) for name in part[0]}
-        for part in (flows[:CHECKS], flows[CHECKS:])
-    )
+    parts = (flows[:CHECKS], flows[CHECKS:])
+    here, there = ({name: float(np.mean([entry[name] for entry in part])) for name in part[0]} for part in parts)
     return {name: abs(edge / (edge - other) * (here[name] - there[name])) for name in here}
 
 

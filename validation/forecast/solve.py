@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,18 +59,10 @@ def forecast_scene(
         key = "--threshold" if threshold is not None else "--pressure"
         raise InputError("expected a scene in 3D, a flow in 2D has no maps", key=key)
     names, samples, remarks = known_of(Path(result), asked)
+    options: dict[str, Any] = {"draws": draws, "model_error": model_error, "remarks": remarks}
     with kept(out) as folder:
-        forecast = predicted(
-            asked,
-            names,
-            samples,
-            RunStore(folder / "mpm", simulate, label="forecast-"),
-            draws=draws,
-            model_error=model_error,
-            threshold=threshold,
-            pressure=pressure,
-            remarks=remarks,
-        )
+        store = RunStore(folder / "mpm", simulate, label="forecast-")
+        forecast = predicted(asked, names, samples, store, threshold=threshold, pressure=pressure, **options)
         if out is not None:
             save(forecast, folder, f"python -m validation.forecast {result} {scene} --out {out}")
     return forecast
@@ -163,13 +156,9 @@ def report(forecast: Forecast, command: str) -> str:
         }
         for name, number in forecast.as_json()["numbers"].items()
     ]
-    parts = [
-        "# Forecast",
-        "\n".join(f"- {line}" for line in summary(forecast)),
-        "![fronts of the flows; profile or map of probability](forecast.png)",
-        markdown_table(rows),
-        f"`{command}`",
-    ]
+    lines = "\n".join(f"- {line}" for line in summary(forecast))
+    picture = "![fronts of the flows; profile or map of probability](forecast.png)"
+    parts = ["# Forecast", lines, picture, markdown_table(rows), f"`{command}`"]
     if forecast.maps is not None:
         parts.append(f"A cell of `probability-*.tif` is covered by more than {forecast.maps.threshold:.3g} m.")
     return "\n\n".join(parts) + "\n"
@@ -192,8 +181,7 @@ def draw(forecast: Forecast, path: Path) -> None:
             right.legend()
         else:
             x, z = (axis + first for axis, first in zip(forecast.maps.grid.axes, forecast.maps.corner, strict=True))
-            image = right.pcolormesh(
-                x, z, forecast.covered["depth"].T, cmap="YlOrRd", vmin=0.0, vmax=1.0, shading="nearest"
-            )
+            covered = forecast.covered["depth"].T
+            image = right.pcolormesh(x, z, covered, cmap="YlOrRd", vmin=0.0, vmax=1.0, shading="nearest")
             right.figure.colorbar(image, label="probability that the flow covers it")
             right.set(xlabel="x, easting [m]", ylabel="z, northing [m]", aspect="equal")

@@ -23,25 +23,19 @@ def main(
     Leaves OUT/result.json, OUT/posterior.npz, OUT/report.md, pictures, OUT/mpm. Running the same command again after a
     kill uses the MPM runs that are there. Exit status 1 where the MPM confirms no answer.
 
-    Parameters
-    ----------
-    problem
-        Path of a problem in TOML, or the name of a shipped one.
-    out
-        Folder for the results.
-    targets
-        A folder of deposits, trajectories or CSV files of what PROBLEM observes: each is inverted in its place, into
-        OUT/NAME, the runs of the MPM known to all; leaves OUT/series.csv, OUT/series.json and OUT/report.md besides.
-    model
-        Weights of the surrogate or the folder of `inverse.adapt`, whose runs of the MPM are then known; unless given,
-        the weights that ship for 2D or for 3D. One that is given is asked unless the problem says "none".
-    surrogate
-        "gns": always asked; "coarse": the MPM on cells twice as large; "none": the MPM alone; unless given, as the
-        problem says, by default the learned one where a run of the MPM costs more than five of its predictions. It
-        leads: the MPM runs first where its answers are.
-    scheduler
-        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM
-        instead: the runs of a wave side by side.
+    Args:
+        problem: Path of a problem in TOML, or the name of a shipped one.
+        out: Folder for the results.
+        targets: A folder of deposits, trajectories or CSV files of what PROBLEM observes: each is inverted in its
+            place, into OUT/NAME, the runs of the MPM known to all; leaves OUT/series.csv, OUT/series.json and
+            OUT/report.md besides.
+        model: Weights of the surrogate or the folder of `inverse.adapt`, whose runs of the MPM are then known; unless
+            given, the weights that ship for 2D or for 3D. One that is given is asked unless the problem says "none".
+        surrogate: "gns": always asked; "coarse": the MPM on cells twice as large; "none": the MPM alone; unless given,
+            as the problem says, by default the learned one where a run of the MPM costs more than five of its
+            predictions. It leads: the MPM runs first where its answers are.
+        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM
+            instead: the runs of a wave side by side.
     """
     # Imported here: torch takes seconds to load, and help has no use for it.
     from contextlib import nullcontext

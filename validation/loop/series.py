@@ -97,10 +97,8 @@ def of_deposit(problem: Problem, path: Path) -> Problem:
             raise InputError(message)
         target = TargetSettings()
         unmeasured = [replace(settings, csv=str(path.absolute()))]
-    seed = jitter_seed(problem.scene.seed, zlib.crc32(path.stem.encode()))
-    return replace(
-        problem, name=path.stem, scene=replace(problem.scene, seed=seed), observations=tuple(unmeasured), target=target
-    )
+    scene = replace(problem.scene, seed=jitter_seed(problem.scene.seed, zlib.crc32(path.stem.encode())))
+    return replace(problem, name=path.stem, scene=scene, observations=tuple(unmeasured), target=target)
 
 
 def runs_of(folder: Path, result: Mapping[str, Any]) -> list[Known]:

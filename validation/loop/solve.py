@@ -203,11 +203,7 @@ def further(outcome: Conclusion) -> dict[str, float]:
     shown = [measurements(scene, flow.positions[-1], extent) for flow in flows]
     # That of the target is known.
     observed = {"the front"} if math.isfinite(knowledge.target.front) else set()
-    gains = information(
-        state.points[near],
-        {name: np.array([measured[name] for measured in shown]) for name in shown[0] if name not in observed},
-        knowledge.posterior.samples,
-        cell=scene.domain.cell,
-        rng=state.generator(),
-    )
+    by_name = {name: np.array([measured[name] for measured in shown]) for name in shown[0] if name not in observed}
+    points, samples, cell = state.points[near], knowledge.posterior.samples, scene.domain.cell
+    gains = information(points, by_name, samples, cell=cell, rng=state.generator())
     return dict([*gains.items()][:SUGGESTED])

@@ -54,10 +54,8 @@ class Task:
     def __call__(self, points: Matrix, first: int, *, purpose: Purpose = Purpose.WAVE) -> tuple[MpmRun, ...]:
         """Runs at points [S, U] of the unit box, each with a jitter seed of its own; first: number of the first."""
         locations, seed = self.at(points), self.problem.scene.seed
-        scenes = [
-            self.problem.scene_at(location, jitter_seed(seed, first + index))
-            for index, location in enumerate(locations)
-        ]
+        seeds = [jitter_seed(seed, first + index) for index in range(len(locations))]
+        scenes = [self.problem.scene_at(*pair) for pair in zip(locations, seeds, strict=True)]
         return self.compared(locations, scenes, purpose)
 
     def compared(self, locations: Sequence[Vector], scenes: Sequence[Scene], purpose: Purpose) -> tuple[MpmRun, ...]:
@@ -88,12 +86,6 @@ class Task:
 
     def search(self, known: tuple[MpmRun, ...] = (), runs: tuple[MpmRun, ...] = ()) -> Loop:
         """The search by runs of the MPM; known: from other targets, `runs`: those that there are already."""
-        unknowns = len(self.problem.parameters)
-        return WaveSearch(
-            model=self,
-            knowledge=Inference(problem=self.problem, target=self.target, scatter=self.scatter),
-            seed=self.problem.optimiser.seed,
-            budget=self.problem.loop.budget(unknowns),
-            known=known,
-            runs=runs,
-        )
+        inference = Inference(problem=self.problem, target=self.target, scatter=self.scatter)
+        seed, budget = self.problem.optimiser.seed, self.problem.loop.budget(len(self.problem.parameters))
+        return WaveSearch(model=self, knowledge=inference, seed=seed, budget=budget, known=known, runs=runs)

@@ -115,10 +115,8 @@ def nearer(led: Loop, whole: Conclusion) -> Conclusion:
     By all runs of both. What is excluded over the whole box remains excluded.
     """
     guided = judged(replace(led, runs=(*led.runs, *whole.search.runs[len(led.runs) :])).informed())
-    ratios = [
-        math.inf if conclusion.answers[0].fit is None else conclusion.answers[0].fit.ratio
-        for conclusion in (guided, whole)
-    ]
+    fits = (conclusion.answers[0].fit for conclusion in (guided, whole))
+    ratios = [math.inf if fit is None else fit.ratio for fit in fits]
     return guided if whole.verdict is Verdict.UNCONFIRMED and ratios[0] < ratios[1] else whole
 
 
@@ -187,15 +185,9 @@ def answers_of(state: Loop, parts: Sequence[Part]) -> tuple[Answer, ...]:
     box, answers = state.knowledge.box, []
     for part in parts:
         checks = checks_of(state, part) or [state.every[int(np.argmin(distances(state.every, part)))]]
-        answers.append(
-            Answer(
-                parameters=box.at(part.point),
-                interval=box.at(part.interval),
-                weight=part.weight,
-                checks=tuple(checks),
-                fit=replace(fitted(state, checks, part.point), applied=state.knowledge.factor),
-            )
-        )
+        fit = replace(fitted(state, checks, part.point), applied=state.knowledge.factor)
+        place, ends = box.at(part.point), box.at(part.interval)
+        answers.append(Answer(parameters=place, interval=ends, weight=part.weight, checks=tuple(checks), fit=fit))
     return tuple(sorted(answers, key=lambda answer: not answer.confirmed))
 
 

@@ -95,9 +95,7 @@ def errors_of(
         return [Run(scene=replace(fine, seed=seed), precision=resolution.precision) for seed in seeds]
 
     exact = {name: runs(scene, own(reference), (0,)) for name, scene in scenes.items()}
-    coarse = {
-        (resolution, name): runs(scene, resolution, seeds) for resolution in tried for name, scene in scenes.items()
-    }
+    coarse = {(resolution, name): runs(scenes[name], resolution, seeds) for resolution in tried for name in scenes}
     store.run([run for group in (*coarse.values(), *exact.values()) for run in group])
     solutions = {name: store.run(group)[0] for name, group in exact.items()}
     deposits = {name: deposit_of(flow) for name, flow in solutions.items()}
@@ -141,10 +139,8 @@ def bound(by_resolution: Errors, resolution: Resolution) -> float:
 
     Where errors of both signs cancel, one is small by chance; on finer grids it is not.
     """
-    finer = [
-        r for r in by_resolution if r.cells >= resolution.cells and replace(r, cells=resolution.cells) == resolution
-    ]
-    names = by_resolution[resolution]
+    names, cells = by_resolution[resolution], resolution.cells
+    finer = [grid for grid in by_resolution if grid.cells >= cells and replace(grid, cells=cells) == resolution]
     return prediction_limit([max(max(by_resolution[grid][name].errors) for grid in finer) for name in names])
 
 
@@ -184,12 +180,9 @@ def selected(dimension: int, tolerance: float, resolutions: Sequence[MeasuredRes
 def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu") -> str:
     """Try --tolerance on scenes that it was not measured on.
 
-    Parameters
-    ----------
-    ship
-        Measure mpm/resolution.toml instead, which takes longer.
-    arch
-        Of the runs, as of `mpm.run`; seconds are the processor's with the default alone.
+    Args:
+        ship: Measure mpm/resolution.toml instead, which takes longer.
+        arch: Of the runs, as of `mpm.run`; seconds are the processor's with the default alone.
     """
     with kept(keep) as folder:
         store = RunStore(folder, partial(simulate_many, arch=arch))

@@ -79,6 +79,8 @@ class MeasuredFlow(Record):
         def metres(*lengths: float) -> tuple[float, ...]:
             return tuple(extent * unit for extent in lengths[: self.dimension])
 
+        lower, size = metres(self.gap, 0.0, along), metres(length, height, self.depth)
+        mass = Mass(lower=lower, size=size, velocity=speed if self.velocity else None)
         return Scene(
             domain=Domain(size=metres(*box), cell=unit / OWN_CELLS),
             material=Material(
@@ -89,13 +91,7 @@ class MeasuredFlow(Record):
                 cohesion=self.cohesion * weight,
                 tension_cutoff=0.5 * self.cohesion * weight,
             ),
-            masses=(
-                Mass(
-                    lower=metres(self.gap, 0.0, along),
-                    size=metres(length, height, self.depth),
-                    velocity=speed if self.velocity else None,
-                ),
-            ),
+            masses=(mass,),
             baffles=tuple(
                 Baffle(lower=metres(x, 0.0, z), size=metres(long, high, long)) for x, long, high, z in self.baffles
             ),

@@ -24,12 +24,8 @@ from validation.bench.stability import quantities, slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
 
 FOLDER = Path(__file__).parent
-COLUMNS = {
-    "energy": ("energy gained", ".0e"),
-    "momentum": ("momentum error", ".0e"),
-    "volume": ("volume", "+.1%"),
-    "slope": ("slope [°]", ".1f"),
-}
+COLUMNS = {"energy": ("energy gained", ".0e"), "momentum": ("momentum error", ".0e")}
+COLUMNS |= {"volume": ("volume", "+.1%"), "slope": ("slope [°]", ".1f")}
 """Checks that have a column of their own, with its heading and form."""
 ROWS = read_toml(FOLDER / "rows.toml")
 RELEASED = {
@@ -112,9 +108,8 @@ def verdict(row: HardCase, flow: Trajectory | WorkFailed, other: Trajectory | Wo
         return CheckedCase(row=row, blown_up=str(flow))
     if not (numbers := finite(flow)).ok:
         return CheckedCase(row=row, kept=(numbers,))
-    kept = [
-        finding for invariant in (*ALWAYS, *(DEPOSIT if row.rests else ())) if (finding := invariant(flow)) is not None
-    ]
+    invariants = (*ALWAYS, *(DEPOSIT if row.rests else ()))
+    kept = [finding for invariant in invariants if (finding := invariant(flow)) is not None]
     if row.rings:
         kept = [finding for finding in kept if finding.check != "energy"]
     if row.energy is not None:
@@ -158,12 +153,9 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
 
     What is wrong with a red row fails the command, once the page is written.
 
-    Parameters
-    ----------
-    rows
-        Names of rows of `rows.toml`; all unless given.
-    precision
-        Of the rows.
+    Args:
+        rows: Names of rows of `rows.toml`; all unless given.
+        precision: Of the rows.
     """
     chosen, columns, safety = read_rows(rows), fronts(), slopes.factors(slopes.KNOWN + slopes.WITHOUT_DILATION)
     flows = run(chosen, precision)
@@ -191,10 +183,8 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
 def conclusion(verdicts: Sequence[CheckedCase], columns: Fronts, safety: slopes.Factors) -> list[str]:
     red = [case.row.name for case in verdicts if case.failures]
     exact = [not case.failures for case in verdicts if case.row.exact]
-    rise, balance = (
-        max(one.value for case in verdicts for one in case.kept if one.check == check)
-        for check in ("energy", "momentum")
-    )
+    kept = [finding for case in verdicts for finding in case.kept]
+    rise, balance = (max(one.value for one in kept if one.check == check) for check in ("energy", "momentum"))
     return [
         f"{len(verdicts) - len(red)} of {len(verdicts)} hard cases pass{'; **red**: ' * bool(red)}{', '.join(red)}.",
         f"{sum(exact)} of {len(exact)} cases with an exact solution agree with it.",
@@ -210,9 +200,8 @@ def row_of(case: CheckedCase) -> Row:
     required = "; ".join(f"{finding.check} {finding.range} {finding.unit}".strip() for finding in case.own)
     value = [", ".join(emphasised(f"{finding.value:.4g}", finding.ok) for finding in case.own)] if case.own else []
     kept = {finding.check: finding for finding in case.kept}
-    wrong = [
-        f"**{text}**" for text in (case.blown_up, *(str(finding) for finding in case.kept if not finding.ok)) if text
-    ]
+    texts = (case.blown_up, *(str(finding) for finding in case.kept if not finding.ok))
+    wrong = [f"**{text}**" for text in texts if text]
     return {
         "scene": f"`{case.row.name}`: {case.row.what}",
         "required": required,

@@ -44,12 +44,9 @@ class FreeFlight:
     @staticmethod
     def of_flow(flow: Trajectory) -> "FreeFlight":
         """That of the first mass of a flow, with its mean time step."""
-        scene = flow.scene
-        return FreeFlight(
-            velocity=tuple(scene.masses[0].velocity or (0.0,) * scene.dimension),
-            gravity=tuple(scene.gravity_vector),
-            step=float(flow.time[-1] / flow.summary["steps"]),
-        )
+        scene, step = flow.scene, float(flow.time[-1] / flow.summary["steps"])
+        velocity = scene.masses[0].velocity or (0.0,) * scene.dimension
+        return FreeFlight(velocity=velocity, gravity=scene.gravity_vector, step=step)
 
     def displacement(self, time: Floats) -> Floats:
         """[m] at `time` [s], shape [T]; shape [T, D]."""
