@@ -27,22 +27,14 @@ def rollout(
 ) -> None:
     """Run a scene with the learned simulator; leaves OUT/trajectory.npz and OUT/summary.json.
 
-    Parameters
-    ----------
-    scene
-        Path of a scene in TOML, or the name of a shipped one.
-    out
-        Folder for the results.
-    model
-        The model's file or the name of a shipped one; the shipped one for scenes in 2D or in 3D unless given.
-    start
-        Trajectory of the MPM whose frames the rollout goes on from; without it, it starts from the scene itself.
-    threads
-        Threads of torch.
-    device
-        Where the model runs.
-    vtk
-        Write a series for ParaView to OUT/vtk too.
+    Args:
+        scene: Path of a scene in TOML, or the name of a shipped one.
+        out: Folder for the results.
+        model: The model's file or the name of a shipped one; the shipped one for scenes in 2D or in 3D unless given.
+        start: Trajectory of the MPM whose frames the rollout goes on from; without it, it starts from the scene itself.
+        threads: Threads of torch.
+        device: Where the model runs.
+        vtk: Write a series for ParaView to OUT/vtk too.
     """
     # Here, because torch takes seconds, which --help should not.
     import torch

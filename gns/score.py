@@ -120,18 +120,12 @@ def table(scores: Sequence[Score]) -> str:
 def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, keep: bool = False) -> None:
     """Score a model by whole rollouts.
 
-    Parameters
-    ----------
-    datasets
-        Folders that `python -m mpm.generate` made.
-    model
-        The model's file, or the name of a shipped one.
-    split
-        train, valid or test.
-    threads
-        Threads of torch.
-    keep
-        Write the table onto the model's card, and how far it may be from the MPM by the flows of the valid split.
+    Args:
+        datasets: Folders that `python -m mpm.generate` made.
+        model: The model's file, or the name of a shipped one.
+        split: train, valid or test.
+        threads: Threads of torch.
+        keep: Write the table onto the model's card, and how far it may be from the MPM by the flows of the valid split.
     """
     import torch
 

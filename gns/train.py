@@ -30,23 +30,15 @@ def train(
     OUT/log.csv, OUT/log.png and OUT/scores.md. Ctrl-C ends the update in progress and leaves OUT/last.pt. On several
     GPUs or processes: torchrun --nproc-per-node N -m gns.train ...
 
-    Parameters
-    ----------
-    datasets
-        Folders that `python -m mpm.generate` made.
-    out
-        Folder of the run.
-    resume
-        Continue from OUT/last.pt; give the other flags again.
-    begin
-        A model to begin with instead of random weights, a file or the name of a shipped one. Its normalisation stays,
-        and its settings; where any are given, all must be its own but for --rest-speed.
-    seed
-        Seed of the weights and of the samples.
-    threads
-        Threads of torch.
-    device
-        cpu or cuda; a GPU where there is one unless given.
+    Args:
+        datasets: Folders that `python -m mpm.generate` made.
+        out: Folder of the run.
+        resume: Continue from OUT/last.pt; give the other flags again.
+        begin: A model to begin with instead of random weights, a file or the name of a shipped one. Its normalisation
+            stays, and its settings; where any are given, all must be its own but for --rest-speed.
+        seed: Seed of the weights and of the samples.
+        threads: Threads of torch.
+        device: cpu or cuda; a GPU where there is one unless given.
     """
     # Here, because torch takes seconds, which --help should not.
     import torch
