@@ -67,6 +67,8 @@ class Found:
     posterior: Gaussian
     runs: Floats
     """What runs near the answer show that differ in their jitter seed, shape [n, M]."""
+    draws: Floats | None
+    """What runs show at draws of the prior, shape [n, M], where derivatives are asked for of combinations."""
     iterates: Sequence[dict[str, float]]
     checks: int
     """Runs of the MPM that check the answer."""
@@ -106,9 +108,10 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
         said, objective = outcome.surrogate, outcome.surrogate["objective"]
         word = "" if "confirmed" not in said else " The MPM did not confirm it and searched by itself."
         notes.append(
-            f"The surrogate found its answer by {said['predictions']} predictions and {said['reverse_passes']} reverse "
-            f"passes in {said['seconds']:.0f} s; with its derivatives, runs of the MPM moved on from there: the "
-            f"objective went from {objective[0]:.4g} to {min(objective):.4g}.{word}"
+            f"The surrogate found its answer by {said['predictions']} predictions in {said['seconds']:.0f} s. With its "
+            f"derivatives ({said['more_predictions']} more predictions, {said['reverse_passes']} reverse passes) "
+            f"runs of the MPM moved on: the objective went from {objective[0]:.4g} to "
+            f"{min(objective):.4g}.{word}"
         )
     if posterior.promised > LEFT and "confirmed" not in outcome.surrogate and lead is not None:
         notes.append(
@@ -168,36 +171,29 @@ def checked(flow: WhiteFlow, target: Target, outcome: Found) -> Answer:
     )
 
 
-class Search:
-    """For the most probable white numbers, by the derivatives of `flow`."""
+def first_search(flow: WhiteFlow, target: Target, errors: Floats, start: Floats) -> Found:
+    """From `start` [W] by the derivatives of `flow`, with few seeds and the scatter there.
 
-    def __init__(self, flow: WhiteFlow, target: Target, errors: Floats) -> None:
-        """errors: covariance of the numbers besides the scatter [M, M]."""
-        self.flow, self.target, self.errors, self.problem = flow, target, errors, flow.problem
-        self.draws: Floats | None = None
+    errors: covariance of the numbers besides the scatter [M, M].
+    """
+    problem, draws = flow.problem, None
+    seed, seeds = problem.scene.seed, problem.scatter_seeds
+    runs = flow.observe([start] * len(seeds), seeds)
+    if flow.reverses_combinations:
+        points = np.random.default_rng(seed).standard_normal((len(runs), flow.size))
+        draws = flow.observe(list(points), [seed] * len(runs))
+    objective = objective_of(flow, target, errors, runs, problem.seeds[:FIRST_SEEDS], draws)
+    posterior = objective.minimise(start, problem.optimiser.max_iterations, FIRST_CONVERGED)
+    runs = flow.observe([posterior.mean] * len(seeds), seeds)
+    return Found(posterior, runs, draws, objective.iterates, 1, {})
 
-    def objective(self, runs: Floats, seeds: Sequence[int]) -> Objective:
-        """J with the scatter of `runs`, which differ in their jitter seed alone, shape [n, M]."""
-        scatter = (1.0 + 1.0 / len(seeds)) * scatter_of(runs, self.target).covariance
-        return Objective(self.flow, self.target.values, self.errors + scatter, seeds, draws=self.draws)
 
-    def first(self, start: Floats) -> Found:
-        """From `start` [W], with few seeds and the scatter there."""
-        seed, seeds = self.problem.scene.seed, self.problem.scatter_seeds
-        runs = self.flow.observe([start] * len(seeds), seeds)
-        if self.flow.reverses_combinations:
-            points = np.random.default_rng(seed).standard_normal((len(runs), self.flow.size))
-            self.draws = self.flow.observe(list(points), [seed] * len(runs))
-        objective = self.objective(runs, self.problem.seeds[:FIRST_SEEDS])
-        posterior = objective.minimise(start, self.problem.optimiser.max_iterations, FIRST_CONVERGED)
-        runs = self.flow.observe([posterior.mean] * len(seeds), seeds)
-        return Found(posterior, runs, objective.iterates, 1, {})
-
-    def second(self, first: Found) -> Found:
-        """From there, with the scatter there and all seeds."""
-        objective = self.objective(first.runs, self.problem.seeds)
-        posterior = objective.minimise(first.posterior.mean, self.problem.optimiser.max_iterations)
-        return replace(first, posterior=posterior, iterates=[*first.iterates, *objective.iterates])
+def objective_of(
+    flow: WhiteFlow, target: Target, errors: Floats, runs: Floats, seeds: Sequence[int], draws: Floats | None
+) -> Objective:
+    """J with the scatter of `runs` [n, M], which differ in their jitter seed alone; errors: as above."""
+    scatter = (1.0 + 1.0 / len(seeds)) * scatter_of(runs, target).covariance
+    return Objective(flow, target.values, errors + scatter, seeds, draws=draws)
 
 
 def scatter_of(runs: Floats, target: Target) -> Scatter:
@@ -210,16 +206,19 @@ def alone(flow: WhiteFlow, target: Target, start: Floats) -> Found:
     """By the MPM's own derivatives from white numbers `start` [W]. Raises InputError for a scene without an adjoint."""
     if flow.problem.optimiser.derivatives is Derivatives.ADJOINT:
         check(features_of([flow.problem.scene], "f32"))
-    search = Search(flow, target, target.errors.matrix)
-    return search.second(search.first(start))
+    first = first_search(flow, target, errors := target.errors.matrix, start)
+    # Again with the scatter of the fields that were found, and all seeds.
+    objective = objective_of(flow, target, errors, first.runs, flow.problem.seeds, first.draws)
+    posterior = objective.minimise(first.posterior.mean, flow.problem.optimiser.max_iterations)
+    return replace(first, posterior=posterior, iterates=[*first.iterates, *objective.iterates])
 
 
 def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
     """By a surrogate alone, then by its derivatives and runs of the MPM, the last of which check the answer."""
     began, start = time.perf_counter(), np.zeros(flow.size)
     error = lead.errors(start) if isinstance(lead, SurrogateFlow) else np.zeros((0, len(target.values)))
-    outcome = Search(lead, target, target.errors.matrix + error.T @ error).first(start)
-    seconds, posterior = time.perf_counter() - began, outcome.posterior
+    outcome = first_search(lead, target, target.errors.matrix + error.T @ error, start)
+    posterior, said = outcome.posterior, {"seconds": time.perf_counter() - began, "predictions": lead.runs}
     # Two flows of the MPM at the answer say how much its own scatter is of the surrogate's, whose shape it has.
     seeds, shape = [flow.problem.scene.seed, flow.problem.scatter_seeds[0]], scatter_of(outcome.runs, target).covariance
     pair = flow.observe([posterior.mean] * 2, seeds)
@@ -232,22 +231,18 @@ def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
     )
     runs = LED_RUNS - LED_CHECKS - len(pair)
     nearest = objective.minimise(posterior.mean, runs, numbers=pair[0], runs=runs)
-    said = {
-        "unknowns": {
-            unknown.settings.name: float(values[unknown.inside].mean())
-            for unknown, values in zip(lead.problem.fields, lead.fields(posterior.mean), strict=True)
-        },
-        "seconds": seconds,
-        "predictions": lead.runs,
-        "reverse_passes": lead.reverses,
-        "objective": [iterate["objective"] for iterate in objective.iterates],
+    unknowns = {
+        unknown.settings.name: float(values[unknown.inside].mean())
+        for unknown, values in zip(lead.problem.fields, lead.fields(posterior.mean), strict=True)
     }
+    shown = [iterate["objective"] for iterate in objective.iterates]
+    more = {"more_predictions": lead.runs - said["predictions"], "reverse_passes": lead.reverses}
     return replace(
         outcome,
         posterior=doubted(nearest, objective.doubt(scatter), flow.directions),
         iterates=[*outcome.iterates, *objective.iterates],
         checks=LED_CHECKS,
-        surrogate=said,
+        surrogate={"unknowns": unknowns, "objective": shown} | said | more,
     )
 
 
