@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeVar, get_args, get_type_hints
 
 from pydantic import ConfigDict, PlainValidator, TypeAdapter, ValidationError
 
-from datasets.errors import InputError, OutOfRange, require
+from datasets.errors import InputError, OutOfRange
 from datasets.files import line_of
 
 T = TypeVar("T")
@@ -22,6 +22,8 @@ UNSEEN = ("float", "str", "constants")
 """Parts of an error's path that a file does not have: types of a key that takes either, where keys are gathered."""
 FEW_KEYS = 12
 """Keys of a table that are listed where an unknown one is refused."""
+SHORT = 3
+"""Numbers of a vector that are shown where one of them is out of bounds: those of a place."""
 FARTHEST = 1.0e9
 """Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
 
@@ -49,6 +51,13 @@ class Bounds:
             return value in self.words
         return value is None or (self.gt < value < self.lt and self.ge <= value <= self.le)
 
+    def first_beyond(self, value: Any) -> Any:
+        """What of a value is not within them: the whole of a short vector, of more numbers the first such one."""
+        if not isinstance(value, tuple):
+            return value
+        part = next(part for part in value if not self.hold(part))
+        return list(value) if len(value) <= SHORT and not isinstance(part, tuple) else self.first_beyond(part)
+
 
 @cache
 def bounds_of(kind: type) -> dict[str, Bounds]:
@@ -72,8 +81,10 @@ class Record:
         kind: Any = type(self)
         for key, bounds in bounds_of(kind).items():
             value = getattr(self, key)
-            got = repr(value) if isinstance(value, str) else list(value) if isinstance(value, tuple) else value
-            require(bounds.hold(value), key, bounds.expected, got)
+            if not bounds.hold(value):
+                got = bounds.first_beyond(value)
+                said = repr(got) if isinstance(got, str) else got
+                raise InputError(f"expected {bounds.expected}, got {said}", key=key)
 
 
 # Building one costs a hundred times as much as a validation with it.

@@ -60,7 +60,7 @@ KEPT = 8
 
 
 def adapt(
-    problem: Problem | str,
+    problem: Problem | Path | str,
     out: Path | str,
     *,
     runs: int = 64,
@@ -80,7 +80,7 @@ def adapt(
     The same call again makes what is missing. Raises InputError for a problem that no surrogate can learn and where
     `out` is another problem's, WorkFailed where a run of the MPM fails.
     """
-    asked, out = read_problem(problem) if isinstance(problem, str) else problem, Path(out)
+    asked, out = problem if isinstance(problem, Problem) else read_problem(problem), Path(out)
     weights = model_path(model or shipped(asked.scene))
     begun = checkpoint.load(weights)
     settings = begun.simulator.settings

@@ -304,7 +304,7 @@ class Problem(ProblemKeys):
         require(other, "target.seed", expected, self.target.seed)
 
 
-def read_problem(name: str) -> Problem:
+def read_problem(name: str | Path) -> Problem:
     """Read the problem at a path or of a shipped name. Raises InputError, which names the file and the key.
 
     >>> problem = read_problem("friction-tall-42")

@@ -11,8 +11,9 @@ NAMES = (*FAMILIES, "paper2d", "paper3d")
 """Of the definitions that ship."""
 
 
-def read_definition(name: str) -> Definition:
+def read_definition(name: str | Path) -> Definition:
     """The definition of a shipped name, or in the TOML file at a path. Raises InputError."""
+    name = str(name)
     shipped = Path(__file__).parent / f"{name}.toml"
     if name in FAMILIES:
         # With the libraries of geometry, which tell what a scene must not resemble.

@@ -21,6 +21,8 @@ Entry = dict[str, Any]
 Ends = Sequence[tuple[float, float]]
 """First and last post of the terrain along x and z [m]."""
 
+ROUNDING = 1.0e-6
+"""Part of a metre or of two cells that counts as none."""
 BENEATH, AIR = 4, 10
 """Cells of ground beneath the lowest one of a box; of air over the highest."""
 
@@ -34,15 +36,19 @@ def whole_cells(lower: Floats, upper: Floats, cell: float, ends: Ends, key: str)
     for axis, (first, last) in zip((0, 2), ends, strict=True):
         lower[axis], upper[axis] = max(first, lower[axis]), min(last, upper[axis])
     lower[1], upper[1] = lower[1] - BENEATH * cell, upper[1] + AIR * cell
-    # Whole metres, of small boxes whole decimals of one.
-    unit = min(1.0, 10.0 ** math.floor(math.log10(cell)))
-    origin = unit * np.ceil(lower / unit)
+    unit = unit_of(cell)
+    origin = unit * np.ceil(lower / unit - ROUNDING)
     origin[1] = unit * math.floor(lower[1] / unit)
     # Even numbers: on cells twice as large the same box shows their error (`surrogate = "coarse"`, forecasts).
     counts = 2.0 * np.floor((upper - origin) / (2.0 * cell) + 1.0e-9)
     counts[1] += 2.0
     require(bool((counts >= 1.0).all()), key, "cells that fit what lies in the box", f"{cell:g} m")
     return {"size": np.round(counts * cell, 9).tolist(), "cell": cell, "origin": np.round(origin, 9).tolist()}
+
+
+def unit_of(cell: float) -> float:
+    """What the corners of a box are whole numbers of: a metre, of small cells a decimal of one [m]."""
+    return min(1.0, 10.0 ** math.floor(math.log10(cell)))
 
 
 def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
@@ -69,9 +75,13 @@ def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
     elif crs is not None:
         crs = known_system(str(crs))
     west, south, east, north = read_bounds(folder / around, crs)
-    size = [east - west + 2.0 * margin, cell, north - south + 2.0 * margin]
-    require(min(size) > 0.0, "margin", "a length above 0 m around a single place", margin)
-    box = {"origin": [west - margin, 0.0, south - margin], "size": size}
+    lower, upper = np.array([west, south]) - margin, np.array([east, north]) + margin
+    require(bool((upper > lower).all()), "margin", "a length above 0 m around a single place", margin)
+    # Outwards to whole metres and an even number of cells.
+    edge = float(domain["cell"])
+    lower = unit_of(edge) * np.floor(lower / unit_of(edge) + ROUNDING)
+    size = 2.0 * edge * np.ceil((upper - lower) / (2.0 * edge) - ROUNDING)
+    box = {"origin": [lower[0], 0.0, lower[1]], "size": [size[0], edge, size[1]]}
     return domain | box | ({} if crs is None else {"crs": crs})
 
 
@@ -91,12 +101,17 @@ def with_elevations(domain: Entry, data: Entry) -> Entry:
         low, high = min(low, float(within.min())), max(high, float(within.max()))
         ends = [(max(end[0], float(at[0])), min(end[1], float(at[-1]))) for end, at in zip(ends, axes, strict=True)]
     require(low < math.inf, "around", "a terrain in 3D, which says how high the box is", "none")
-    if any(lower[2 * n] < first or upper[2 * n] > last for n, (first, last) in enumerate(ends)):
-        warnings.warn("domain.margin: the box ends where the terrain does", stacklevel=2)
+    short = any(lower[2 * n] < first or upper[2 * n] > last for n, (first, last) in enumerate(ends))
     thick = max((largest(mass.get("thickness", 0.0)) for mass in entries(data, "masses")), default=0.0)
     tops = [top for group in ("masses", "baffles", "solids") for top in map(top_of, entries(data, group))]
+    cell = float(domain["cell"])
+    # Where the terrain moves the lower end, the cells end at the upper one or beyond.
+    upper += 2.0 * cell * (1.0 - ROUNDING)
     lower[1], upper[1] = low, max(high + thick, *tops)
-    return domain | whole_cells(lower, upper, float(domain["cell"]), ends, "cell")
+    box = whole_cells(lower, upper, cell, ends, "cell")
+    if short:
+        warnings.warn("domain.margin: the box ends where the terrain does", stacklevel=2)
+    return domain | box
 
 
 def entries(data: Entry, group: str) -> list[Entry]:

@@ -52,7 +52,7 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
         require(bool(np.isfinite(mesh.points).all()), "", "vertices of finite coordinates", "others")
         skin = mesh.extract_surface(algorithm="dataset_surface").triangulate()
         for tolerance in SAME:
-            merged = skin.clean(tolerance=tolerance)
+            merged = skin.clean(tolerance=tolerance, absolute=False)
             if merged.n_open_edges == 0:
                 break
         require(merged.n_cells > 0, "", "a mesh with triangles", "none")

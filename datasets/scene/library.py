@@ -39,8 +39,9 @@ DIGITS = 7
 """Decimals of a metre: more than the rounding of map coordinates in double precision up to 100,000 km."""
 
 
-def find(name: str, shelf: Path, what: str) -> Path:
+def find(name: str | Path, shelf: Path, what: str) -> Path:
     """The TOML file meant by `name`: a path, or the name of one on `shelf`. Raises InputError."""
+    name = str(name)
     if name.endswith(".toml") or "/" in name:
         return Path(name)
     shipped = sorted(path.stem for path in shelf.glob("*.toml"))
@@ -55,7 +56,7 @@ def read_scene(name: str | Path) -> Scene:
 
     Raises InputError, which names the file and the key.
     """
-    path = find(str(name), SCENES, "scene")
+    path = find(name, SCENES, "scene")
     with naming(path):
         data = read_toml(path)
         if "unknowns" in data:

@@ -15,6 +15,7 @@ class Limited(Record):
 
     share: Annotated[float, Bounds("a share in (0, 1]", gt=0.0, le=1.0)] = 0.5
     sizes: Annotated[tuple[float, ...], Bounds("positive lengths", gt=0.0)] | None = None
+    rows: Annotated[tuple[tuple[float, ...], ...], Bounds("coefficients of at least 0", ge=0.0)] = ()
     friction: Annotated[float | str, Bounds("a coefficient or 'rough'", ge=0.0, words=("rough",))] = 0.0
 
 
@@ -32,6 +33,9 @@ class Holder(Record):
         ({"share": 0.0}, "share: expected a share in (0, 1], got 0.0"),
         ({"share": 1.5}, "share: expected a share in (0, 1], got 1.5"),
         ({"sizes": (0.1, -1.0)}, "sizes: expected positive lengths, got [0.1, -1.0]"),
+        ({"sizes": (1.0,) * 999 + (0.0,)}, "sizes: expected positive lengths, got 0.0"),
+        ({"rows": ((0.3,), (0.3, -0.5))}, "rows: expected coefficients of at least 0, got [0.3, -0.5]"),
+        ({"rows": ((0.3,) * 50, (0.3,) * 50 + (-0.5,))}, "rows: expected coefficients of at least 0, got -0.5"),
         ({"sizes": (2.0 * FARTHEST,)}, "sizes: expected positive lengths, got [2000000000.0]"),
         ({"friction": "smooth"}, "friction: expected a coefficient or 'rough', got 'smooth'"),
     ],

@@ -35,10 +35,10 @@ value = 0.55
 PAIR = '[[correlations]]\nbetween = ["cohesion", "friction_deg"]\ncoefficient = 0.1'
 
 
-def written(folder: Path, text: str) -> str:
+def written(folder: Path, text: str) -> Path:
     path = folder / "problem.toml"
     path.write_text(text)
-    return str(path)
+    return path
 
 
 @pytest.mark.parametrize("path", sorted(PROBLEMS.glob("*.toml")), ids=lambda path: path.stem)

@@ -275,7 +275,7 @@ def with_draws(design: Row, draws: Matrix) -> Matrix:
 
 def read_design(name: str | Path) -> DesignProblem:
     """Read the design problem at a path or of a shipped name. Raises InputError, which names the file and the key."""
-    path = find(str(name), DESIGNS, "design problem")
+    path = find(name, DESIGNS, "design problem")
     with naming(path):
         file = from_mapping(DesignFile, read_toml(path))
         keys = dict(vars(file))

@@ -36,7 +36,7 @@ ENDS = (" from", " to")
 
 
 def solve_series(
-    problem: Problem | str,
+    problem: Problem | Path | str,
     targets: Path | str,
     out: Path | str,
     *,
@@ -53,7 +53,7 @@ def solve_series(
     `validation.solve`, `series.csv`, `series.json` and `report.md`; what is there is not done again. Raises InputError,
     which names the file, before any work.
     """
-    asked, out = read_problem(problem) if isinstance(problem, str) else problem, Path(out)
+    asked, out = problem if isinstance(problem, Problem) else read_problem(problem), Path(out)
     deposits = read_deposits(asked, Path(targets))
     make_folder(out)
     runs, rows = list[Known](), list[dict[str, Any]]()

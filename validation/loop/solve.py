@@ -44,7 +44,7 @@ SUGGESTED = 6
 
 
 def solve(
-    problem: Problem | str,
+    problem: Problem | Path | str,
     out: Path | str | None = None,
     *,
     model: Path | None = None,
@@ -66,7 +66,7 @@ def solve(
     targets, which inform the emulator and are no part of the budget. Raises InputError for a problem that cannot be
     solved as it stands, WorkFailed where a run of the MPM blows up or another process writes into `out`.
     """
-    asked = read_problem(problem) if isinstance(problem, str) else problem
+    asked = problem if isinstance(problem, Problem) else read_problem(problem)
     with kept(out) as folder:
         if asked.fields:
             # By the MPM itself, with its word: it has an adjoint, and fields are too many for an emulator.

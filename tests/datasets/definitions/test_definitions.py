@@ -187,7 +187,7 @@ BODIES = "[[scene.baffles]]\ncount = 199\nlower = [{ uniform = [0.3, 0.5] }, 0.0
 
 def definition(folder: Path, text: str = EXAMPLE, name: str = "steps.toml") -> Definition:
     (folder / name).write_text(text)
-    return read_definition(str(folder / name))
+    return read_definition(folder / name)
 
 
 def test_the_definition_on_the_page(tmp_path: Path) -> None:

@@ -43,21 +43,34 @@ def made(folder: Path, shape: shapely.Geometry = FIELD, text: str = SCENE + OUTL
 
 
 def test_a_box_around_a_polygon_is_as_high_as_its_ground(tmp_path: Path) -> None:
-    """Plan 70 to 170 and 50 to 150 m; the ground falls from 1,466 to 1,413 m there, the layer is 8 m thick."""
+    """Plan 70 to 174 and 50 to 154 m; the ground falls from 1,466 to 1,411 m there, the layer is 8 m thick."""
     scene = made(tmp_path)
     domain = scene.domain
     assert domain.crs == SWISS
     assert domain.origin is not None
     assert domain.origin[::2] == (EAST + 70.0, NORTH + 50.0)
-    # Of 25 cells 24: on twice as large ones the box is the same.
-    assert domain.size[::2] == (96.0, 96.0)
+    # Of 25 cells 26: on twice as large ones the box is the same.
+    assert domain.size[::2] == (104.0, 104.0)
     assert scene.with_cell(8.0).domain.size == domain.size
     ground = np.array(scene.solids[0].heights) + domain.origin[1]
     bottom, top = domain.origin[1], domain.origin[1] + domain.size[1]
-    lowest, highest = UP + 200.0 - 0.5 * 172.5, UP + 200.0 - 0.5 * 67.5
+    lowest, highest = UP + 200.0 - 0.5 * 177.5, UP + 200.0 - 0.5 * 67.5
     assert ground.min() < lowest  # the raster goes on beside the box
     assert lowest - 4 * 4.0 - 1.0 <= bottom <= lowest - 4 * 4.0
     assert highest + 8.0 + 10 * 4.0 <= top <= highest + 8.0 + 10 * 4.0 + 12.0
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3, 5.0])
+def test_a_box_holds_its_shapes_and_the_margin(tmp_path: Path, margin: float) -> None:
+    """Which were cut by up to two cells and a metre where these do not fit."""
+    corners = np.array([[100.4, 80.3], [130.7, 118.6]]) + np.array([EAST, NORTH])
+    text = SCENE.replace("margin = 30.0", f"margin = {margin}") + OUTLINE
+    domain = made(tmp_path, shapely.box(*corners.ravel()), text).domain
+    assert domain.origin is not None
+    low, size = np.array(domain.origin)[::2], np.array(domain.size)[::2]
+    np.testing.assert_array_less(low - 1.0e-6, corners[0] - margin)
+    np.testing.assert_array_less(corners[1] + margin, low + size + 1.0e-6)
+    assert (low + size - corners[1] - margin < 8.0 + 1.0).all()
 
 
 def test_points_and_degrees_make_the_same_box(tmp_path: Path) -> None:

@@ -106,10 +106,12 @@ def stl(path: Path, *corners: np.ndarray, apart: float = 0.0, binary: bool = Fal
 
 
 @pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("edge", [0.01, 1.0, 1000.0])
 @pytest.mark.parametrize("apart", [0.0, 1e-8, 1e-6])
-def test_near_vertices_are_merged(tmp_path: Path, apart: float, binary: bool) -> None:
-    stl(tmp_path / "cube.stl", CUBE, apart=apart, binary=binary)
-    assert volume_of(tmp_path / "cube.stl") == pytest.approx(1.0, rel=1e-5)
+def test_near_vertices_are_merged(tmp_path: Path, apart: float, edge: float, binary: bool) -> None:
+    """How near is a share of the extent, in whatever unit the file is."""
+    stl(tmp_path / "cube.stl", edge * CUBE, apart=apart * edge, binary=binary)
+    assert volume_of(tmp_path / "cube.stl") == pytest.approx(edge**3, rel=1e-5)
 
 
 @pytest.mark.parametrize(
