@@ -127,14 +127,6 @@ def test_grains_of_a_submerged_slope_bear_its_buoyant_weight() -> None:
     assert tractions == pytest.approx(exact, abs=1.0e-3 * float(np.abs(exact).max()))
 
 
-@pytest.mark.slow
-def test_a_submerged_slope_is_as_safe_as_a_dry_one_of_buoyant_weight() -> None:
-    dry = BISHOP.scene(20)
-    light = dataclasses.replace(dry.material, density=SOIL - DENSITY)
-    exact = safety_factor(dataclasses.replace(dry, material=light)).factor
-    assert safety_factor(with_water(BISHOP, 20, pool=1.2 * HEIGHT)).factor == pytest.approx(exact, rel=0.011)
-
-
 def test_pore_pressure_is_recorded_alone_and_stays_where_it_is_fixed() -> None:
     only, drained = Recording(pore_pressure=True), dataclasses.replace(WET, consolidation=0.1)
     body = dataclasses.replace(BED, initial_pore_pressure_ratio=0.7)
@@ -144,8 +136,6 @@ def test_pore_pressure_is_recorded_alone_and_stays_where_it_is_fixed() -> None:
         simulate(wet_scene(body, water=Water(fixed=True), **given), record=only),
     )
     assert flow.stress is None
-    assert flow.pore_pressure is not None
-    assert fixed.pore_pressure is not None
     assert (flow.pore_pressure[2] < flow.pore_pressure[0]).mean() > 0.9
     assert (fixed.pore_pressure[2] == fixed.pore_pressure[0]).all()
 
