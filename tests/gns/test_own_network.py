@@ -15,7 +15,7 @@ from datasets import Mass
 from datasets.compare import compare
 from gns.score import calibrated, evaluate
 from gns.settings import ModelSettings
-from gns.simulator import Simulator, advanced, checked, on_threads
+from gns.simulator import advanced, on_threads
 from gns.surroundings.state import Conditions, State
 from gns.training.samples import flows_of
 from inverse.forward.gns import GnsForward
@@ -101,10 +101,6 @@ class Forgetful(Braked):
 def test_what_is_no_model_is_named_in_a_line(model: Any, said: str) -> None:
     scene = scene_of(Mass(lower=(0.1, 0.4), size=(0.1, 0.1)), duration=0.1)
     refused(gns.simulate, scene, model=model, said=said)
-
-
-def test_the_network_of_talus_is_one(simulator: Simulator) -> None:
-    assert checked(simulator) is simulator
 
 
 class Counted(torch.autograd.Function):

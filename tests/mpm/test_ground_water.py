@@ -18,7 +18,6 @@ from mpm.initial.stress import initial_tractions
 from mpm.initial.water import initial_water
 from mpm.safety import reduced
 from tests.datasets.exchange.test_scene_files import SPACE, scene, tilted, write_raster
-from tests.mpm.test_water import sheet, travelled
 from tests.refusals import refused
 from tests.scenes import scene_of
 from validation.bench.stability.slopes import BISHOP, HEIGHT, KnownSlope
@@ -164,15 +163,3 @@ def test_factors_with_water_are_those_of_slip_circles(
     slope: KnownSlope, water: dict[str, float], factor: float
 ) -> None:
     assert safety_factor(with_water(slope, 20, **water)).factor == pytest.approx(factor, rel=0.03)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("changes", [{}, {"width": 0.12, "duration": 0.21}])
-def test_a_sheet_slides_against_the_friction_that_water_leaves_it(changes: dict[str, Any]) -> None:
-    slope_deg, friction = 25.0, 0.3
-    slide = sheet(0.0, slope_deg=slope_deg, friction=friction, **changes)
-    masses = tuple(dataclasses.replace(mass, initial_pore_pressure_ratio=None) for mass in slide.masses)
-    flow = simulate(dataclasses.replace(slide, masses=masses, water=Water(fixed=True)))
-    steep = math.radians(slope_deg)
-    acceleration = GRAVITY * (math.sin(steep) - (1.0 - DENSITY / SOIL) * friction * math.cos(steep))
-    assert travelled(flow)[-1] == pytest.approx(0.5 * acceleration * flow.time[-1] ** 2, rel=0.025)

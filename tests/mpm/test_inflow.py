@@ -22,8 +22,9 @@ from inverse.problem import read_problem
 from mpm import AT_REST, WITH_FIELDS, Recording, simulate
 from mpm.adjoint.tape import Tape
 from mpm.output.checkpoint import Checkpoint
-from tests.mpm.test_resume import broken_off, same
+from tests.mpm.test_run import broken_off, same
 from tests.refusals import refused
+from tests.scenes import scene_of
 
 SAND = Material(friction_deg=30.0, young=1.0e6)
 PULSE = ((0.05, 0.2, 1.0), (0.3, 0.2, 1.0))
@@ -86,16 +87,10 @@ def test_a_steady_inflow_on_voellmys_incline_reaches_the_uniform_depth() -> None
     steep, xi, mu, depth, bed, end = math.radians(30.0), 20.0, 0.2, 0.1, 0.1, 2.0
     speed = math.sqrt(xi * depth * (math.sin(steep) - mu * math.cos(steep)))
     mass = {"section": ((0.1,),), "hydrograph": tuple((t, speed * depth, 0.8 * speed) for t in (0.0, end))}
-    scene = Scene(
-        domain=Domain(size=(1.1, 0.4), cell=0.025),
-        material=Material(friction_deg=40.0, young=2.0e5),
-        masses=(Mass(kind="inflow", **mass),),
-        solids=(Solid(kind="terrain", points=((0.0, bed), (1.1, bed)), friction=mu, turbulence=xi),),
-        slope_deg=30.0,
-        open_sides=("x+",),
-        duration=end,
-        frame_dt=0.05,
-    )
+    ground = Solid(kind="terrain", points=((0.0, bed), (1.1, bed)), friction=mu, turbulence=xi)
+    settings = {"slope_deg": 30.0, "open_sides": ("x+",), "duration": end, "frame_dt": 0.05, "solids": (ground,)}
+    soil = Material(friction_deg=40.0, young=2.0e5)
+    scene = scene_of(Mass(kind="inflow", **mass), size=(1.1, 0.4), cell=0.025, material=soil, **settings)
     flow = simulate(scene, threads=1, record=Recording(fields=True))
     here = (flow.positions[-5:, :, 0] > 0.4) & (flow.positions[-5:, :, 0] < 0.7)
     assert here.sum() / 5 * flow.volumes[0] / 0.3 == pytest.approx(depth, rel=0.04)
