@@ -82,14 +82,8 @@ def cloud(settings: ModelSettings) -> Cloud:
 
 def spreading(friction_deg: float, *, duration: float = 0.25, seed: int = 0) -> Trajectory:
     """A column at the left wall that spreads and flattens at constant volume, the less the rougher it is."""
-    scene = scene_of(
-        Mass(lower=(0.0, 0.0), size=(0.12, 0.16)),
-        size=(0.6, 0.4),
-        cell=0.01,
-        material=Material(friction_deg=friction_deg),
-        duration=duration,
-        seed=seed,
-    )
+    column, sand = Mass(lower=(0.0, 0.0), size=(0.12, 0.16)), Material(friction_deg=friction_deg)
+    scene = scene_of(column, size=(0.6, 0.4), cell=0.01, material=sand, duration=duration, seed=seed)
     points = initial_particles(scene)
     time = np.arange(scene.frames) * scene.frame_dt
     stretch = 1.0 + (1.2 - points.friction[0]) * (1.0 - np.cos(np.pi * time / duration))

@@ -49,11 +49,8 @@ def test_a_card_says_what_the_model_is(model: Path) -> None:
     assert model_card.normalisation["friction_mean"] == pytest.approx(NORMALISATION.friction_mean)
     assert model_card.datasets["flow2d"].scenes == 200
     assert model_card.datasets["flow2d"].cells_across[1] == pytest.approx(56.6, abs=0.1)
-    assert (model_card.training.command, model_card.training.seed, model_card.training.updates) == (
-        PROVENANCE["command"],
-        4,
-        3000,
-    )
+    training = model_card.training
+    assert (training.command, training.seed, training.updates) == (PROVENANCE["command"], 4, 3000)
     assert (model_card.scores, model_card.calibration(COLUMN)) == ("", None)
     # The ranges are those of the training scenes.
     assert set(model_card.ranges) < set(quantities(COLUMN))
@@ -158,10 +155,8 @@ def test_the_band_is_that_of_the_narrowest_dataset_that_holds_the_scene(model: P
     assert model_card.calibration(sand(friction_deg=30.0)) == bands["a"]
     # Outside of all the widest: the warning is another matter.
     assert model_card.calibration(sand(friction_deg=70.0)) == bands["a"]
-    assert model_card.ranges["friction_deg"] == (
-        min(wide.ranges["friction_deg"][0], 40.0),
-        wide.ranges["friction_deg"][1],
-    )
+    lowest, highest = wide.ranges["friction_deg"]
+    assert model_card.ranges["friction_deg"] == (min(lowest, 40.0), highest)
 
 
 def test_a_model_without_a_card_says_so(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from datasets import Mass
 from datasets.compare import compare
 from gns.score import calibrated, evaluate
 from gns.settings import ModelSettings
-from gns.simulator import Simulator, advanced, checked, on_threads
+from gns.simulator import advanced, on_threads
 from gns.surroundings.state import Conditions, State
 from gns.training.samples import flows_of
 from inverse.forward.gns import GnsForward
@@ -60,19 +60,6 @@ def test_it_is_scored_calibrated_and_predicts_a_band(settings: ModelSettings, da
     refused(gns.predict, scene, model=model, said="calibration: expected a calibration, by gns.score.calibrated")
 
 
-def test_its_gradient_is_that_of_differences() -> None:
-    problem = problem_of(2, "friction_deg", "masses[0].velocity_x")
-    settings = ModelSettings(cell=0.01, body_length=0.1)
-    forward = GnsForward(Braked(settings, 0.2).double(), problem, problem.operators[0])
-    point = torch.tensor(problem.initial, dtype=torch.float64, requires_grad=True)
-    (slope,) = torch.autograd.grad(forward.predict(point).sum(), point)
-    for index, step in enumerate((1e-3, 1e-4)):
-        move = step * np.eye(2)[index]
-        ahead, behind = forward.observe([problem.initial + move, problem.initial - move])
-        assert slope[index].item() == pytest.approx((ahead - behind).sum() / (2.0 * step), rel=1e-4)
-    assert slope[0] < 0.0 < slope[1]
-
-
 class Nothing(nn.Module):
     """Without settings."""
 
@@ -114,10 +101,6 @@ class Forgetful(Braked):
 def test_what_is_no_model_is_named_in_a_line(model: Any, said: str) -> None:
     scene = scene_of(Mass(lower=(0.1, 0.4), size=(0.1, 0.1)), duration=0.1)
     refused(gns.simulate, scene, model=model, said=said)
-
-
-def test_the_network_of_talus_is_one(simulator: Simulator) -> None:
-    assert checked(simulator) is simulator
 
 
 class Counted(torch.autograd.Function):

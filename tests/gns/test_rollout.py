@@ -29,12 +29,8 @@ def files(simulator: Simulator, tmp_path: Path) -> dict[str, Path]:
     write_scene(SCENE, paths["scene"])
     checkpoint.save(paths["model"], simulator, {})
     whole = spreading(30.0)
-    dataclasses.replace(
-        whole,
-        positions=whole.positions[:21],
-        time=whole.time[:21],
-        scene=dataclasses.replace(whole.scene, duration=0.05),
-    ).save(paths["start"])
+    short = dataclasses.replace(SCENE, duration=0.05)
+    dataclasses.replace(whole, positions=whole.positions[:21], time=whole.time[:21], scene=short).save(paths["start"])
     return paths
 
 
@@ -83,11 +79,7 @@ def test_refusals(
     deep = tmp_path / "deep.toml"
     write_scene(DEEP, deep)
     cases = [
-        (
-            {**files, "model": tmp_path / "none.safetensors"},
-            [],
-            "expected whole weights of a model, there is no such file",
-        ),
+        ({**files, "model": tmp_path / "none"}, [], "expected whole weights of a model, there is no such file"),
         (files, ["--start", str(tmp_path / "other.npz")], "they are of another scene"),
         (files, ["--start", str(tmp_path / "none.npz")], "there is no such file"),
         ({**files, "scene": deep}, [], "deep.toml: expected a 2D scene"),

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 import gns
-from datasets import Domain, Mass, Material, Scene, Solid, Trajectory, read_scene
+from datasets import Mass, Material, Scene, Solid, Trajectory, read_scene
 from datasets.flow import measures
 from gns import card
 from gns.library import shipped
@@ -28,6 +28,7 @@ from gns.surroundings.forces import Moment
 from gns.surroundings.initial import initial_state
 from gns.surroundings.state import Conditions, State, in_model_units
 from tests.gns.conftest import NORMALISATION, Cloud
+from tests.scenes import scene_of
 
 
 def test_the_order_of_the_particles_does_not_matter(lively: Simulator, cloud: Cloud) -> None:
@@ -113,15 +114,9 @@ def mound(friction_deg: float, below_deg: float, tilt_deg: float, *, floor_frict
         mass = Mass(kind="mesh", vertices=(*corners, (x[1], high, x[1])), triangles=faces)
     else:
         mass = Mass(kind="polygon", vertices=((x[0], 0.0), (x[2], 0.0), (x[1], high)))
-    return Scene(
-        domain=Domain(size=(width, cell * round(0.6 / cell), *([width] if deep else [])), cell=cell),
-        material=Material(friction_deg=friction_deg),
-        masses=(mass,),
-        floor_friction=floor_friction,
-        slope_deg=tilt_deg,
-        duration=1.2,
-        frame_dt=0.02,
-    )
+    settings = {"floor_friction": floor_friction, "slope_deg": tilt_deg, "duration": 1.2, "frame_dt": 0.02}
+    size = (width, cell * round(0.6 / cell), *([width] if deep else []))
+    return scene_of(mass, size=size, cell=cell, material=Material(friction_deg=friction_deg), **settings)
 
 
 @pytest.mark.parametrize(

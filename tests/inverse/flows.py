@@ -101,11 +101,5 @@ def problem_of(flow: int | str, *names: str) -> Problem:
     for name in names:
         value, half = kind(name).read(scene), WIDE[kind(name).unit]
         parameters.append(Parameter(name=name, initial=value, lower=value - half, upper=value + half))
-    return Problem(
-        name="small",
-        folder=Path(),
-        scene=scene,
-        parameters=tuple(parameters),
-        observations=(DepositSettings(),),
-        target=TargetSettings(twin=True),
-    )
+    made = {"name": "small", "folder": Path(), "scene": scene, "parameters": tuple(parameters)}
+    return Problem(**made, observations=(DepositSettings(),), target=TargetSettings(twin=True))

@@ -42,26 +42,13 @@ observations = [
 ]
 target = { twin = true, seed = 1000 }
 optimiser = { seeds = 2, ensemble = 6, max_iterations = 2 }
-[[unknowns]]
-name = "velocity_x"
-spacing = [0.02, 1.0]
-mean = 0.6
-deviation = 0.3
-length = 0.06
-[[unknowns]]
-name = "floor_friction"
-initial = 0.4
-lower = 0.1
-upper = 0.7
+unknowns = [
+  { name = "velocity_x", spacing = [0.02, 1.0], mean = 0.6, deviation = 0.3, length = 0.06 },
+  { name = "floor_friction", initial = 0.4, lower = 0.1, upper = 0.7 },
+]
 """
-FRICTION = """name = "friction_deg"
-spacing = [0.02, 0.02]
-mean = 28.0
-deviation = 5.0
-length = 0.06
-lower = 10.0
-upper = 45.0
-"""
+BOUNDS = "lower = 10.0, upper = 45.0"
+FRICTION = f'name = "friction_deg", spacing = [0.02, 0.02], mean = 28.0, deviation = 5.0, length = 0.06, {BOUNDS}'
 GRIDS = {
     "2D, longer along x": (Grid((0.0, 0.0), (0.02, 0.01), (21, 15)), (0.16, 0.06)),
     "along x alone": (Grid((0.0, 0.0), (0.02, 1.0), (31, 1)), (0.12, 1.0)),
@@ -134,7 +121,7 @@ def test_a_step_is_halved_until_the_objective_falls() -> None:
 
 
 def test_nodes_cover_the_body_between_the_stated_band(tmp_path: Path) -> None:
-    text = PROBLEM.replace('name = "floor_friction"\ninitial = 0.4\nlower = 0.1\nupper = 0.7\n', FRICTION)
+    text = PROBLEM.replace('name = "floor_friction", initial = 0.4, lower = 0.1, upper = 0.7', FRICTION)
     problem = read_problem(files(tmp_path, text.replace("twin = true, seed = 1000", 'trajectory = "seen.npz"')))
     velocity, friction = problem.fields
     assert (velocity.grid.nodes, friction.grid.nodes) == ((7, 1), (7, 3))
@@ -159,10 +146,10 @@ def test_nodes_cover_the_body_between_the_stated_band(tmp_path: Path) -> None:
         ("length = 0.06", "length = 1e300", "unknowns[0].length"),
         ("length = 0.06", "length = 1e8", "unknowns[0].length"),
         ("deviation = 0.3", "deviation = 1e-300", "unknowns[0].deviation"),
-        ("deviation = 0.3", "deviation = 1e-12\nlower = 0.0\nupper = 2.0", "unknowns[0].deviation"),
+        ("deviation = 0.3", "deviation = 1e-12, lower = 0.0, upper = 2.0", "unknowns[0].deviation"),
         ("mean = 0.6", "mean = nan", "unknowns[0].mean"),
-        ("mean = 0.6", "mean = 0.6\ninitial = 0.6", "unknowns[0].initial"),
-        ("length = 0.06", "length = 0.06\nlower = 0.0", "unknowns[0].upper"),
+        ("mean = 0.6", "mean = 0.6, initial = 0.6", "unknowns[0].initial"),
+        ("length = 0.06", "length = 0.06, lower = 0.0", "unknowns[0].upper"),
         ('kind = "height"', 'kind = "deposit"', "observations[1]"),
         ("seed = 1000", "seed = 1", "target.seed"),
         ("ensemble = 6", "ensemble = 2", "optimiser.ensemble"),

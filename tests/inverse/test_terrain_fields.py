@@ -54,21 +54,10 @@ surrogate = "none"
 observations = [{ kind = "thickness", cell = 0.1, noise = 0.004 }]
 target = { twin = true, seed = 1000 }
 optimiser = { seeds = 1, ensemble = 4, max_iterations = 1, derivatives = "differences" }
-[[unknowns]]
-name = "thickness"
-spacing = [0.1, 0.1]
-mean = 0.1
-deviation = 0.02
-length = 0.2
-lower = 0.04
-upper = 0.2
-[[unknowns]]
-name = "solids[0].friction"
-zones = "zones.asc"
-mean = 0.25
-deviation = 0.05
-lower = 0.05
-upper = 0.6
+unknowns = [
+  { name = "thickness", spacing = [0.1, 0.1], mean = 0.1, deviation = 0.02, length = 0.2, lower = 0.04, upper = 0.2 },
+  { name = "solids[0].friction", zones = "zones.asc", mean = 0.25, deviation = 0.05, lower = 0.05, upper = 0.6 },
+]
 """
 
 
@@ -88,10 +77,8 @@ def flat(**changes: Any) -> Scene:
 
 def test_a_constant_field_of_thickness_is_the_layer_stretched() -> None:
     thicker = dataclasses.replace(THICKNESS, values=(0.15,) * 9)
-    layer, stretched = (
-        initial_particles(flat() if field is None else dataclasses.replace(flat(), fields=(field,)))
-        for field in (None, thicker)
-    )
+    scenes = flat(), dataclasses.replace(flat(), fields=(thicker,))
+    layer, stretched = map(initial_particles, scenes)
     np.testing.assert_allclose(stretched.positions, layer.positions * [1.0, 1.5, 1.0], rtol=1e-12)
     np.testing.assert_allclose(stretched.volume, 1.5 * layer.volume, rtol=1e-12)
     np.testing.assert_allclose(stretched.depth, 1.5 * layer.depth, rtol=1e-9)
@@ -150,9 +137,9 @@ def test_what_the_unknown_fields_are(path: str) -> None:
     ("before", "after", "said"),
     [
         ('zones = "zones.asc"', "spacing = [0.2, 0.2]", "unknowns[1].length"),
-        ("mean = 0.25", "mean = 0.25\nlength = 0.4", "unknowns[1].length: expected none beside zones"),
+        ("mean = 0.25", "mean = 0.25, length = 0.4", "unknowns[1].length: expected none beside zones"),
         ('name = "thickness"', 'name = "velocity_x"', "unknowns[0].spacing: expected 3 lengths"),
-        ("lower = 0.04\nupper = 0.2\n", "", "unknowns[0].lower: expected bounds of a thickness"),
+        (", lower = 0.04, upper = 0.2", "", "unknowns[0].lower: expected bounds of a thickness"),
         ("solids[0].friction", "solids[1].friction", "unknowns[1].name: expected an index below 1"),
         ('"thickness", cell = 0.1,', '"front",', "observations[0].kind: expected an observation by the volumes"),
     ],
@@ -337,8 +324,8 @@ def test_the_scatter_of_flows_tells_nothing(path: str) -> None:
 
 
 def test_a_surrogate_that_lacks_an_unknown_is_refused_out_of_its_range_too(path: str) -> None:
-    young = '[[unknowns]]\nname = "young"\ninitial = 2.0e5\nlower = 1.0e5\nupper = 4.0e5\n'
-    Path(path).write_text(PROBLEM.replace('"none"', '"gns"', 1) + young)
+    young = '{ name = "young", initial = 2.0e5, lower = 1.0e5, upper = 4.0e5 }'
+    Path(path).write_text(PROBLEM.replace('"none"', '"gns"', 1).replace("0.6 },", f"0.6 }}, {young}"))
     problem = read_problem(path)
     operator = ThicknessSettings(cell=0.1).operator(problem.scene)
     target = Target(observation=operator, values=np.zeros(operator.count), errors=Covariance(np.ones(operator.count)))

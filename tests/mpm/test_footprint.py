@@ -1,4 +1,4 @@
-"""What a run will take, before it is allocated, and what sets its step, on which a thin flow does not depend."""
+"""What a run will take, what sets its step, and the cheapest resolution that keeps a tolerance."""
 
 import dataclasses
 
@@ -6,13 +6,23 @@ import numpy as np
 import pytest
 
 from datasets import Domain, Mass, Material, Scene, Solid, read_scene
+from datasets.geometry.placement import connected, corners
 from datasets.scene.stiffness import greatest_speed
 from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate, simulate_many
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Precision, node_room
-from mpm.footprint import FAST, PROCESS, SLOW, SPEED, START, expected, footprint, planned, step_spoken
+from mpm.footprint import PROCESS, SPEED, expected, footprint, planned, step_spoken
+from mpm.resolution import (
+    MeasuredResolution,
+    Resolution,
+    characteristic_length,
+    fitted_cell,
+    read_measured,
+    read_tolerance,
+    resolved,
+)
 from tests.refusals import refused
-from tests.scenes import box
+from tests.scenes import box, scene_of
 
 COLUMN, BAFFLES = read_scene("column-tall-42"), read_scene("baffles-2")
 
@@ -69,8 +79,6 @@ def test_what_no_machine_could_run_is_refused_at_once(
 
 def test_a_range_grows_with_the_work_and_falls_with_the_processors() -> None:
     estimate = expected(COLUMN, SPEED[2] * 120.0, memory=300 * 2**20, processors=2)
-    assert estimate.shortest == pytest.approx(START[2][0] + 60.0 / FAST)
-    assert estimate.longest == pytest.approx(START[2][1] + 60.0 / SLOW)
     assert str(estimate) == "expected: 0.6 to 2.6 min, 300 MiB of memory"
     more = expected(COLUMN, SPEED[2] * 120.0, memory=0, processors=2, after=600.0)
     assert more.shortest == pytest.approx(estimate.shortest + 600.0)
@@ -95,15 +103,11 @@ def mountainside() -> Scene:
     angles = SLOPE - np.linspace(0.0, SLOPE, 17)
     arc = [(FOOT + along - RADIUS * np.sin(angle), 5.0 + RADIUS * (1.0 - np.cos(angle))) for angle in angles.tolist()]
     points = ((0.0, 5.0 + FOOT * np.tan(SLOPE)), *arc, (END, 5.0))
-    return Scene(
-        domain=Domain(size=(END, 162.0), cell=0.75),
-        material=Material(friction_deg=30.0, density=2000.0),
-        masses=(Mass(kind="layer", thickness=1.5, outline=((10.0,), (40.0,))),),
-        solids=(Solid(kind="terrain", points=tuple((float(x), float(y)) for x, y in points), friction=FRICTION),),
-        open_sides=("x-", "x+"),
-        duration=26.0,
-        frame_dt=0.5,
-    )
+    ground = Solid(kind="terrain", points=tuple((float(x), float(y)) for x, y in points), friction=FRICTION)
+    layer = Mass(kind="layer", thickness=1.5, outline=((10.0,), (40.0,)))
+    soil = Material(friction_deg=30.0, density=2000.0)
+    settings = {"size": (END, 162.0), "cell": 0.75, "open_sides": ("x-", "x+"), "duration": 26.0, "frame_dt": 0.5}
+    return scene_of(layer, material=soil, solids=(ground,), **settings)
 
 
 def stopping_place() -> float:
@@ -154,3 +158,77 @@ def test_it_is_said_what_sets_the_step() -> None:
     assert "flow" not in step_spoken(slow)
     stiff = box(material=dataclasses.replace(slow.material, young=2.0e8))
     assert "young = 2e+08 Pa; 180000 Pa would do, in 0.03 of the steps" in step_spoken(stiff)
+
+
+def boxes(*masses: tuple[tuple[float, ...], tuple[float, ...]], size: tuple[float, ...] = (1.0, 1.0)) -> Scene:
+    """Masses given as (lower, size) in a box of cells of 0.01 m."""
+    return scene_of(*(Mass(lower=lower, size=extent) for lower, extent in masses), size=size, cell=0.01)
+
+
+SQUARE = boxes(((0.0, 0.0), (0.2, 0.4)))
+
+
+def measured(cells: float, promised: float, cost: float, *, dimension: int = 2, points: int = 2) -> MeasuredResolution:
+    what = Resolution(cells=cells, particles_per_axis=points, step_fraction=0.9, precision="f32")
+    errors = {"expected": 0.5 * promised, "promised": promised, "thickness": promised}
+    return MeasuredResolution(dimension=dimension, resolution=what, particle_steps=1.0e6 * cost, **errors)
+
+
+@pytest.mark.parametrize(("text", "value"), [("2%", 0.02), (" 2.5 % ", 0.025), ("0.02", 0.02), ("1e-2", 0.01)])
+def test_a_tolerance_is_a_percentage_or_a_fraction(text: str, value: float) -> None:
+    assert read_tolerance(text) == pytest.approx(value)
+    for wrong in ("2", "0", "-1%", "100%", "two", "", "%", "nan", "inf%"):
+        assert refused(read_tolerance, wrong, said="expected a percentage such as 2%").key == "--tolerance"
+
+
+def test_the_cheapest_within_the_tolerance_is_picked() -> None:
+    measurements = [
+        measured(10, 0.06, 1.0),
+        measured(20, 0.03, 8.0),
+        measured(40, 0.015, 64.0),
+        measured(15, 0.028, 9.0, points=3),
+    ]
+    assert resolved(SQUARE, 0.05, measurements).cells == 20.0
+    assert resolved(SQUARE, 0.029, measurements).scene.particles_per_axis == 3
+    assert resolved(SQUARE, 0.015, measurements).cells == 40.0
+
+
+def test_a_tolerance_below_the_best_is_refused_with_the_best() -> None:
+    measurements = [measured(10, 0.06, 1.0), measured(40, 0.021, 64.0), measured(10, 0.001, 1.0, dimension=3)]
+    refused(resolved, SQUARE, 0.02, measurements, said="--tolerance: expected at least 2.1% in 2D")
+
+
+@pytest.mark.parametrize("lengths", [(1.0, 1.0), (1.81, 0.83), (0.96, 0.36)])
+@pytest.mark.parametrize("largest", [0.07, 0.01, 0.004])
+def test_a_cell_divides_every_side_of_the_box(lengths: tuple[float, ...], largest: float) -> None:
+    cell = fitted_cell(Domain(size=lengths, cell=0.01), largest)
+    assert cell <= largest * (1.0 + 1e-9)
+    # Scenes on other grids are refused.
+    dataclasses.replace(
+        SQUARE, domain=Domain(size=lengths, cell=cell), masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)),)
+    )
+
+
+def test_masses_that_touch_are_one_body_and_a_side_from_wall_to_wall_does_not_count() -> None:
+    layers = boxes(*(((0.0, 0.028 * n), (0.35, 0.028)) for n in range(10)))
+    assert characteristic_length(layers) == pytest.approx(0.28)
+    # The last joins two groups that did not touch before.
+    joined = boxes(((0.0, 0.0), (0.1, 0.1)), ((0.3, 0.0), (0.1, 0.1)), ((0.1, 0.0), (0.2, 0.1)))
+    for masses, count in ((joined.masses, 1), (joined.masses[:2], 2)):
+        assert len(np.unique(connected(*corners(masses)))) == count
+    thin = boxes(((0.0, 0.0, 0.0), (0.4, 0.2, 0.05)), size=(1.0, 1.0, 0.05))
+    assert characteristic_length(thin) == pytest.approx(0.2)
+    assert characteristic_length(boxes(((0.0, 0.0), (1.0, 0.3)))) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("name", "dimension"), [("column-tall-21", 2), ("layers-10", 2), ("baffles-2", 3), ("baffles-5", 3)]
+)
+def test_what_ships_resolves_every_shipped_kind_of_scene(name: str, dimension: int) -> None:
+    measurements = [measurement for measurement in read_measured() if measurement.dimension == dimension]
+    loosest, tightest = (pick(measurement.promised for measurement in measurements) for pick in (max, min))
+    loose, tight = (resolved(read_scene(name), tolerance) for tolerance in (loosest, 1.2 * tightest))
+    assert loose.scene.dimension == dimension
+    assert tight.measured.promised <= 1.2 * tightest
+    assert tight.cost > loose.cost
+    assert tight.scene.domain.cell < loose.scene.domain.cell

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import Domain, Mass, Material, Scene, Solid, Trajectory, read_trajectory
+from datasets import Domain, Mass, Material, Scene, Solid, Trajectory, read_trajectory, write_scene
 from datasets.compare import compare
 from datasets.exchange.page import write_view
 from datasets.exchange.vtk import Meshes
@@ -22,8 +22,9 @@ from inverse.problem import read_problem
 from mpm import AT_REST, WITH_FIELDS, Recording, simulate
 from mpm.adjoint.tape import Tape
 from mpm.output.checkpoint import Checkpoint
-from tests.mpm.test_resume import broken_off, same
+from tests.mpm.test_run import broken_off, same
 from tests.refusals import refused
+from tests.scenes import scene_of
 
 SAND = Material(friction_deg=30.0, young=1.0e6)
 PULSE = ((0.05, 0.2, 1.0), (0.3, 0.2, 1.0))
@@ -50,9 +51,6 @@ def test_a_plug_moves_on_as_it_entered_without_any_stress(section: str) -> None:
     scene = entering(**SECTIONS[section])
     flow = simulate(scene, threads=1, record=WITH_FIELDS)
     entry = flow.entry_time
-    assert entry is not None
-    assert flow.velocities is not None
-    assert flow.stress is not None
     for frame, time in enumerate(flow.time):
         moved = np.maximum(time - entry, 0.0)[:, None] * flow.velocity0
         assert np.abs(flow.positions[frame] - flow.positions[0] - moved).max() < 3e-5
@@ -76,7 +74,6 @@ def test_a_steady_inflow_on_a_smooth_incline_thins_as_it_speeds_up() -> None:
         masses=(mass,),
     )
     flow = simulate(scene, threads=1, record=WITH_FIELDS)
-    assert flow.velocities is not None
     for x in np.arange(0.3, 1.2, 0.2):
         here = np.abs(flow.positions[-5:, :, 0] - x) < 0.1
         mean_speed = flow.velocities[-5:][here][:, 0].mean()
@@ -90,19 +87,11 @@ def test_a_steady_inflow_on_voellmys_incline_reaches_the_uniform_depth() -> None
     steep, xi, mu, depth, bed, end = math.radians(30.0), 20.0, 0.2, 0.1, 0.1, 2.0
     speed = math.sqrt(xi * depth * (math.sin(steep) - mu * math.cos(steep)))
     mass = {"section": ((0.1,),), "hydrograph": tuple((t, speed * depth, 0.8 * speed) for t in (0.0, end))}
-    scene = Scene(
-        domain=Domain(size=(1.1, 0.4), cell=0.025),
-        material=Material(friction_deg=40.0, young=2.0e5),
-        masses=(Mass(kind="inflow", **mass),),
-        solids=(Solid(kind="terrain", points=((0.0, bed), (1.1, bed)), friction=mu, turbulence=xi),),
-        slope_deg=30.0,
-        open_sides=("x+",),
-        duration=end,
-        frame_dt=0.05,
-    )
+    ground = Solid(kind="terrain", points=((0.0, bed), (1.1, bed)), friction=mu, turbulence=xi)
+    settings = {"slope_deg": 30.0, "open_sides": ("x+",), "duration": end, "frame_dt": 0.05, "solids": (ground,)}
+    soil = Material(friction_deg=40.0, young=2.0e5)
+    scene = scene_of(Mass(kind="inflow", **mass), size=(1.1, 0.4), cell=0.025, material=soil, **settings)
     flow = simulate(scene, threads=1, record=Recording(fields=True))
-    assert flow.velocities is not None
-    assert flow.stress is not None
     here = (flow.positions[-5:, :, 0] > 0.4) & (flow.positions[-5:, :, 0] < 0.7)
     assert here.sum() / 5 * flow.volumes[0] / 0.3 == pytest.approx(depth, rel=0.04)
     assert flow.velocities[-5:][here][:, 0].mean() == pytest.approx(speed, rel=0.04)
@@ -182,7 +171,6 @@ def test_who_reads_a_flow_leaves_out_what_has_not_entered(flow: Trajectory, tmp_
     assert energy == pytest.approx(0.5 * SAND.density * begun[1] * flow.volumes[0], rel=0.02)
     assert comparison.apart["transport"][-1] == 0.0
     velocity = FlowFields(flow).velocity(1)
-    assert velocity is not None
     np.testing.assert_allclose(velocity, flow.velocity0, atol=0.02)
     write_view(tmp_path / "flow.html", flow)
     text = (tmp_path / "flow.html").read_text()
@@ -193,38 +181,19 @@ def test_who_reads_a_flow_leaves_out_what_has_not_entered(flow: Trajectory, tmp_
 
 PROBLEM = """
 scene = "scene.toml"
-[[unknowns]]
-name = "masses[0].discharge_factor"
-initial = 1.0
-lower = 0.5
-upper = 2.0
-[[observations]]
-kind = "front"
-[target]
-twin = true
-"""
-SCENE = """
-duration = 0.5
-[domain]
-size = [1.5, 0.8]
-cell = 0.05
-[material]
-friction_deg = 30.0
-[[masses]]
-kind = "inflow"
-section = [[0.25]]
-hydrograph = [[0.05, 0.2, 1.0], [0.3, 0.2, 1.0]]
-discharge_factor = 1.0
+unknowns = [{ name = "masses[0].discharge_factor", initial = 1.0, lower = 0.5, upper = 2.0 }]
+observations = [{ kind = "front" }]
+target = { twin = true }
 """
 
 
 def test_a_problem_may_ask_for_the_discharge_by_the_deposit_alone(tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text(SCENE)
+    write_scene(entering(discharge_factor=1.0, gravity=9.81), tmp_path / "scene.toml")
     (tmp_path / "problem.toml").write_text(PROBLEM)
     problem = read_problem(str(tmp_path / "problem.toml"))
     assert len(problem.operators) == 1
     assert problem.scene_at(np.array([1.5])).masses[0].discharge_factor == 1.5
-    (tmp_path / "problem.toml").write_text(PROBLEM.replace('"front"', '"front"\ntimes = [0.2]'))
+    (tmp_path / "problem.toml").write_text(PROBLEM.replace('"front"', '"front", times = [0.2]'))
     timed = read_problem(str(tmp_path / "problem.toml"))
     refused(lambda: timed.operators, said="observations[0]: expected the deposit or forces, where material flows in")
 

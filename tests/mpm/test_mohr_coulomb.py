@@ -305,14 +305,8 @@ def test_an_open_crack_does_not_soften_by_being_there(angle: float) -> None:
 
 def test_strength_that_grows_with_depth() -> None:
     """c(z) = c + k z, the tension limit below its apex, and the residual cohesion at the same sensitivity."""
-    soil = Material(
-        friction_deg=20.0,
-        cohesion=5.0e3,
-        strength_gradient=2.0e3,
-        tension_cutoff=2.0e4,
-        residual_cohesion=1.0e3,
-        softening_length=0.1,
-    )
+    peak = {"cohesion": 5.0e3, "strength_gradient": 2.0e3, "tension_cutoff": 2.0e4}
+    soil = Material(friction_deg=20.0, **peak, residual_cohesion=1.0e3, softening_length=0.1)
     depth = np.array([0.0, 1.0, 4.0])
     rows, phi = properties_at(soil, depth), np.radians(20.0)
     cohesion = np.array([5.0e3, 7.0e3, 13.0e3])

@@ -107,7 +107,7 @@ def said(scene: Scene = COLUMN, *, x: float = 0.0, energy: float = 0.0, outflow:
     return "\n".join(caveats(scene, particles, deposit, kinetic=kinetic, end_time=1.0, outflow=outflow or {}))
 
 
-def test_what_is_said_of_motion_walls_and_open_sides() -> None:
+def test_what_is_said_of_motion_walls_open_sides_and_thin_bodies() -> None:
     """Of a wall that holds the front, not of the one that the column stood at; of rest in a large box nothing."""
     assert said(x=0.1) == said(energy=1e-7) == ""
     assert "not at rest: at t = 1 s" in said(energy=1.0)
@@ -116,9 +116,7 @@ def test_what_is_said_of_motion_walls_and_open_sides() -> None:
     opened = dataclasses.replace(COLUMN, open_sides=("x+",))
     assert "x+" not in said(opened, x=room)
     assert "left the box through its open side x+" in said(opened, outflow={"x+": 1.0})
-
-
-@pytest.mark.parametrize(("cells", "thin"), [(2.0, True), (5.0, False)])
-def test_a_body_of_fewer_than_three_cells_is_said(cells: float, thin: bool) -> None:
-    mass = dataclasses.replace(COLUMN.masses[0], size=(COLUMN.masses[0].size[0], cells * COLUMN.domain.cell))
-    assert ("masses[0]" in said(dataclasses.replace(COLUMN, masses=(mass,)))) is thin
+    # A body of fewer than three cells.
+    for cells, thin in ((2.0, True), (5.0, False)):
+        mass = dataclasses.replace(COLUMN.masses[0], size=(COLUMN.masses[0].size[0], cells * COLUMN.domain.cell))
+        assert ("masses[0]" in said(dataclasses.replace(COLUMN, masses=(mass,)))) is thin

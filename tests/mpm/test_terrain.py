@@ -72,8 +72,6 @@ def bed(heights: NDArray[np.float64], spacing: float) -> Bed:
     ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(spacing, spacing), heights=rows)
     scene = hill(solids=(ground,))
     solid = contact_surface_of(scene)
-    assert solid is not None
-    assert solid.field is not None
     return bed_of(solid.field, scene.domain)
 
 

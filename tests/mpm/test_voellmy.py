@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import warnings
 from typing import Any
 
 import numpy as np
@@ -43,14 +42,20 @@ class VoellmyBlock:
         return np.asarray(self.terminal_speed**2 / self.acceleration * np.log(np.cosh(scaled)))
 
 
-def tilted(kind: type[Baffle | Solid], offset: float) -> Scene:
-    """A block on a bed that ends `offset` cells above a row of nodes, in a tilted box."""
-    top = (4.0 + offset) * CELL
-    bed = kind(lower=(0.0, 0.0), size=(1.2, top), **BED)
-    body = Mass(lower=(0.1, top), size=(0.4, THICKNESS))
+def tilted(
+    kind: type[Baffle | Solid],
+    offset: float,
+    cells: float = THICKNESS / CELL,
+    width: tuple[float, ...] = (),
+    **changes: Any,
+) -> Scene:
+    """A block so many cells thick on a bed that ends `offset` cells above a row of nodes, in a tilted box."""
+    top, across = (4.0 + offset) * CELL, (0.0,) * len(width)
+    bed = kind(lower=(0.0, 0.0, *across), size=(1.2, top, *width), **BED)
+    body = Mass(lower=(0.1, top, *across), size=(0.4, cells * CELL, *width))
     stands = {"baffles": (bed,)} if kind is Baffle else {"solids": (bed,)}
-    settings = {"size": (1.2, 0.4), "slope_deg": SLOPE_DEG, "jitter": 0.0, "duration": 0.8, "frame_dt": 0.02}
-    return scene_of(body, material=STRONG, **settings, **stands)
+    settings = {"size": (1.2, 0.4, *width), "slope_deg": SLOPE_DEG, "duration": 0.8, "frame_dt": 0.02} | changes
+    return scene_of(body, material=STRONG, jitter=0.0, **settings, **stands)
 
 
 def height(x: float, length: float) -> float:
@@ -103,6 +108,7 @@ def test_a_block_reaches_the_terminal_speed(scene: Scene, share: float) -> None:
     assert exact.speed(flow.time[-1]) > 0.99 * exact.terminal_speed
 
 
+@pytest.mark.filterwarnings("ignore:.*hardly resolves it")
 @pytest.mark.parametrize(
     ("cells", "offset", "width"),
     [
@@ -115,24 +121,17 @@ def test_thin_layers_feel_all_of_the_drag(cells: float, offset: float, width: tu
 
     On a bed that ends `offset` cells above a row of nodes; in 3D between walls of the box, four cells apart.
     """
-    top, exact = (4.0 + offset) * CELL, VoellmyBlock(SLOPE_DEG, cells * CELL)
-    across = (0.0,) * len(width)
-    bed = Solid(lower=(0.0, 0.0, *across), size=(0.8, top, *width), **BED)
-    body = Mass(lower=(0.1, top, *across), size=(0.3, cells * CELL, *width))
-    frames = math.ceil(3.0 * exact.terminal_speed / exact.acceleration / 0.02)
-    settings: dict[str, Any] = {"size": (0.8, 0.2, *width), "slope_deg": SLOPE_DEG, "frame_dt": 0.02}
+    exact = VoellmyBlock(SLOPE_DEG, cells * CELL)
+    duration = 0.02 * math.ceil(3.0 * exact.terminal_speed / exact.acceleration / 0.02)
     # In 3D without gaps, which a strong block has not.
-    settings["volume_correction"] = False if width else None
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=r".*hardly resolves it")
-        scene = scene_of(body, material=STRONG, jitter=0.0, solids=(bed,), duration=0.02 * frames, **settings)
-        flow = simulate(scene, record=WITH_FIELDS)
-    assert flow.velocities is not None
+    changes = {"duration": duration, "volume_correction": False if width else None}
+    flow = simulate(tilted(Solid, offset, cells, width, **changes), record=WITH_FIELDS)
     speeds = flow.velocities[:, :, 0].mean(axis=1)
     assert np.abs(speeds - exact.speed(flow.time)).max() < 0.03 * exact.terminal_speed
     assert exact.speed(flow.time[-1]) > 0.99 * exact.terminal_speed
 
 
+@pytest.mark.filterwarnings("ignore:.*(hardly resolves it|is next to nothing)")
 @pytest.mark.parametrize("offset", [0.0, 0.4])
 def test_a_row_of_sand_that_has_sunk_to_the_bed_feels_the_drag_of_its_thickness(offset: float) -> None:
     """It spreads a little, too. By its distance from the bed alone the speed would be 0.63 of the block's."""
@@ -140,13 +139,9 @@ def test_a_row_of_sand_that_has_sunk_to_the_bed_feels_the_drag_of_its_thickness(
     bed = Solid(lower=(0.0, 0.0), size=(1.6, top), **BED)
     body = Mass(lower=(0.1, top), size=(0.6, 0.25 * CELL))
     settings: dict[str, Any] = {"size": (1.6, 0.2), "slope_deg": SLOPE_DEG, "duration": 4.0, "frame_dt": 0.1}
-    with warnings.catch_warnings():
-        # As good as without cohesion, and so by the kernel of the blocks.
-        warnings.filterwarnings("ignore", message=r".*(hardly resolves it|is next to nothing)")
-        sand = Material(friction_deg=38.0, cohesion=0.01, young=2.0e6)
-        scene = scene_of(body, material=sand, solids=(bed,), **settings)
-        flow = simulate(scene, record=WITH_FIELDS)
-    assert flow.velocities is not None
+    # As good as without cohesion, and so by the kernel of the blocks.
+    sand = Material(friction_deg=38.0, cohesion=0.01, young=2.0e6)
+    flow = simulate(scene_of(body, material=sand, solids=(bed,), **settings), record=WITH_FIELDS)
     middle = (flow.positions[0, :, 0] > 0.25) & (flow.positions[0, :, 0] < 0.55)
     assert np.median(flow.positions[-1, middle, 1]) < top + 0.05 * CELL
     assert 0.82 < flow.velocities[-1, middle, 0].mean() / exact.terminal_speed < 1.05
@@ -185,7 +180,6 @@ def test_blocks_on_a_bed_whose_turbulence_varies_have_the_speeds_of_their_places
         return scene_of(*bodies, material=STRONG, solids=(bed,), **settings)
 
     flow = simulate(scene((columns,) * 2), record=WITH_FIELDS)
-    assert flow.velocities is not None
     first = flow.positions[0, :, 2] < 0.2
     scale = VoellmyBlock(SLOPE_DEG, 0.04).terminal_speed / math.sqrt(TURBULENCE)
     for mine, xi in ((first, low), (~first, high)):

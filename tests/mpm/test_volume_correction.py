@@ -92,8 +92,6 @@ def test_water_of_a_layer_that_stretches_presses_on() -> None:
     soil = Material(friction_deg=30.0, density=2000.0, saturated=True, consolidation=0.1, young=5.0e5)
     given: dict[str, Any] = {"duration": 1.5, "frame_dt": 0.05, "fields": (stretch,), "jitter": 0.4, "material": soil}
     flow = simulate(scene_of(body, size=(7.0, 0.3), **given), record=Recording(fields=True))
-    assert flow.pore_pressure is not None
-    assert flow.stress is not None
     x, y = flow.positions[0].T
     foot = (np.abs(x - 0.7) < 0.4) & (y < 0.25 * height)
     water, grains = flow.pore_pressure[-10:, foot].mean(), -flow.stress[-10:, foot, 1].mean()

@@ -64,13 +64,8 @@ def test_other_options_another_version_and_a_broken_file_are_run_again(
     assert len(mpm.scenes) == 2
     assert len(last.time) == 1
     base = Run(scene=SCENE)
-    others = [
-        replace(base, precision="f64"),
-        replace(base, record=AT_REST),
-        replace(base, record=ALL),
-        Run(scene=replace(SCENE, duration=0.5)),
-    ]
-    assert len({run.digest for run in (base, *others)}) == 5
+    changes = {"precision": "f64"}, {"record": AT_REST}, {"record": ALL}, {"scene": replace(SCENE, duration=0.5)}
+    assert len({run.digest for run in (base, *(replace(base, **change) for change in changes))}) == 5
     store.path(base).write_bytes(b"no archive")
     store([SCENE], record=LAST)
     assert len(mpm.scenes) == 3

@@ -146,10 +146,8 @@ def test_volumes_follow_the_spacing_of_each_trajectory(tmp_path: Path, capsys: p
         assert len(flow.volumes) == 63
     for name, spacing, said in (("../away", 0.01, "a name that a file can have"), ("heap", 0.0, "that are apart")):
         write({name: spacing})
-        line = refused_by(
-            capsys, command, source, *FROM, "--scene", scene_file(tmp_path, 2), "--out", tmp_path / "other"
-        )
-        assert said in line
+        wrong = (source, *FROM, "--scene", scene_file(tmp_path, 2), "--out", tmp_path / "other")
+        assert said in refused_by(capsys, command, *wrong)
 
 
 def test_every_solid_becomes_particles_that_stand() -> None:

@@ -47,7 +47,6 @@ def test_a_box_around_a_polygon_is_as_high_as_its_ground(tmp_path: Path) -> None
     scene = made(tmp_path)
     domain = scene.domain
     assert domain.crs == SWISS
-    assert domain.origin is not None
     assert domain.origin[::2] == (EAST + 70.0, NORTH + 50.0)
     # Of 25 cells 26: on twice as large ones the box is the same.
     assert domain.size[::2] == (104.0, 104.0)
@@ -85,7 +84,6 @@ def test_points_and_degrees_make_the_same_box(tmp_path: Path) -> None:
 def test_a_box_ends_with_the_terrain(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="the box ends where the terrain does"):
         domain = made(tmp_path, text=SCENE.replace("30.0, cell", "90.0, cell") + OUTLINE).domain
-    assert domain.origin is not None
     assert domain.origin[2] == NORTH + 3.0  # posts stand 2.5 m inside the raster
     assert domain.size[2] == 192.0
 

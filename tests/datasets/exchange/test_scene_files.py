@@ -16,7 +16,6 @@ from rasterio.crs import CRS
 from rasterio.transform import Affine
 
 from datasets import Scene, read_scene
-from datasets.errors import InputError
 from datasets.exchange.meshes import read_mesh, write_surface
 from datasets.exchange.rasters import read_raster
 from datasets.geometry.nearest import nearest
@@ -99,13 +98,6 @@ def test_a_height_field(tmp_path: Path, name: str, encoding: str) -> None:
     assert Scene.from_json(loaded.to_json()) == loaded
 
 
-@pytest.mark.parametrize("source", ["/vsicurl/http://127.0.0.1/a.tif", "http://127.0.0.1/a.tif"])
-def test_a_mosaic_opens_nothing_elsewhere(tmp_path: Path, source: str) -> None:
-    (tmp_path / "dem.vrt").write_text(f"<VRTDataset><SourceFilename>{source}</SourceFilename></VRTDataset>")
-    with pytest.raises(InputError, match="expected a mosaic of files of this machine"):
-        read_raster(tmp_path / "dem.vrt")
-
-
 NONE = -9999.0
 HEIGHTS = st.sampled_from((NONE, 0.0)) | st.floats(0.05, 0.3)
 RINGED = np.pad(np.full((3, 3), 0.2), 2, constant_values=NONE)
@@ -159,13 +151,6 @@ def test_undeclared_holes_are_no_ground(tmp_path: Path, dtype: str, hole: float)
     text = SPACE.replace("[2.0, 1.0, 1.0]", "[2.0, 3.0, 1.0]") + BODY_3D.replace("0.8,", "2.0,") + TERRAIN
     with pytest.warns(UserWarning, match="dem.tif: 1 values such as .* taken as no data"):
         refused(scene, tmp_path, text + 'file = "dem.tif"\n', said="without holes in the box, got 1 cells without data")
-
-
-def test_a_raster_in_centimetres_is_one_line(tmp_path: Path) -> None:
-    """All values are no elevation: the raster is wrong, not the ground beneath something."""
-    write_raster(tmp_path / "dem.tif", np.full((10, 20), 130_000.0))
-    said = "dem.tif: solids[0].file: expected lengths in m, below 20000, got 130000 and the like"
-    refused(scene, tmp_path, SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\n', said=said)
 
 
 def test_a_high_valley_beside_zeros_and_a_high_cliff(tmp_path: Path) -> None:
@@ -264,12 +249,6 @@ def test_a_map_with_scale_offset_holes_and_rows_from_the_south(tmp_path: Path) -
     assert mass_volumes(loaded)[0] == pytest.approx(5 * 0.1**2 * 0.2, rel=1e-9)
 
 
-def holes(path: Path) -> None:
-    values = tilted()
-    values[2, 3] = values[4, 5] = -9999.0
-    write_raster(path, values)
-
-
 @pytest.mark.parametrize(
     ("release", "words"),
     [("EPSG:25832", "31287"), ("EPSG:4647", "31287"), ("EPSG:3857", "metres are metres on the ground")],
@@ -283,6 +262,12 @@ def test_a_release_of_another_map_is_refused(tmp_path: Path, release: str, words
     assert refused(scene, tmp_path, text, said=words).key == "masses[0].thickness"
 
 
+def holes(path: Path) -> None:
+    values = tilted()
+    values[2, 3] = values[4, 5] = -9999.0
+    write_raster(path, values)
+
+
 def misspelt(old: bytes, new: bytes) -> Callable[[Path], object]:
     """An ASCII raster of 20 x 10 values of 0.25 in which one word is another."""
 
@@ -291,6 +276,10 @@ def misspelt(old: bytes, new: bytes) -> Callable[[Path], object]:
         path.write_bytes(path.read_bytes().replace(old, new, 1))
 
     return write
+
+
+def mosaic(source: str) -> Callable[[Path], object]:
+    return lambda path: path.write_text(f"<VRTDataset><SourceFilename>{source}</SourceFilename></VRTDataset>")
 
 
 def in_feet(plane: int) -> str:
@@ -316,6 +305,10 @@ CASES: list[tuple[str, Callable[[Path], object], str]] = [
     ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
     ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:3857"), "metres are metres on the ground"),
     ("dem.tif", lambda path: write_raster(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
+    # All values are no elevation: the raster is wrong, not the ground beneath something.
+    ("dem.tif", lambda path: write_raster(path, np.full((10, 20), 130_000.0)), "below 20000, got 130000 and the like"),
+    ("dem.vrt", mosaic("http://127.0.0.1/a.tif"), "expected a mosaic of files of this machine"),
+    ("dem.vrt", mosaic("/vsicurl/http://127.0.0.1/a.tif"), "expected a mosaic of files of this machine"),
     ("dem.asc", lambda path: None, "there is no such file"),
     ("dem.asc", lambda path: path.write_text("a,b\n1,2\n"), "expected a readable raster"),
 ]

@@ -185,10 +185,6 @@ def test_a_foreign_npz(
     path = tmp_path / "trajectory.npz"
     trajectory.save(path)
     with np.load(path, allow_pickle=False) as file:
-        arrays = dict(file)
-    if value is None:
-        del arrays[key]
-    else:
-        arrays[key] = value
+        arrays = {name: array for name, array in (dict(file) | {key: value}).items() if array is not None}
     np.savez(path, **arrays)
     assert refused(Trajectory.load, path, said=expected).where == str(path)

@@ -1,15 +1,25 @@
-"""Scene files: what ships is right, and what is wrong is one line with file and key."""
+"""Scene files: what ships is right, and what is wrong, also at random, is one line with file and key."""
 
+import copy
 import dataclasses
+import operator
 import warnings
+from collections.abc import Iterator
+from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
+from hypothesis import given
+from hypothesis import strategies as st
 
-from datasets import Baffle, Mass, Material, Scene, Solid, Stage, read_scene, write_scene
+from datasets import Baffle, InputError, Mass, Material, Scene, Solid, Stage, read_scene, write_scene
+from datasets.files import read_toml
 from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.library import SCENES
+from datasets.scene.particles import initial_particles
 from datasets.scene.parts import Water
 from tests.refusals import refused
 from tests.scenes import SAND, scene_of
@@ -141,3 +151,55 @@ def test_a_friction_in_degrees_a_layer_in_centimetres_and_a_turbulence_in_anothe
         "solids[0]: a turbulence of 2 m/s^2 stops nearly any flow; "
         "of snow and debris it is between 100 and 8000 m/s^2, and less brakes more",
     ]
+
+
+LONGEST = 3000
+"""Characters of a line."""
+TEXTS = st.text(st.characters(codec="utf-8"), max_size=5) | st.sampled_from(("box", "mesh", "layer"))
+NUMBERS = st.booleans() | st.integers() | st.floats() | st.sampled_from((10**9, 10**30, 1e-300, 1e300))
+VALUES = st.recursive(
+    NUMBERS | TEXTS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXTS, inner, max_size=2), max_leaves=4
+)
+
+
+def one_line(error: InputError, path: Path) -> None:
+    line = str(error)
+    assert "\n" not in line
+    assert str(path) in line
+    assert "expected" in line
+    assert len(line) < LONGEST
+
+
+def places(data: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The keys that lead to each value in tables and lists."""
+    for key, value in data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ():
+        yield (*way, key)
+        yield from places(value, (*way, key))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", ["baffles-2", "layers-10", "slope-layers", "valley-3d"])
+def test_strange_scenes(name: str, tmp_path: Path) -> None:
+    """With another value somewhere, or one that is gone."""
+    path, mistakes = tmp_path / "scene.toml", []
+    (tmp_path / "valley-3d.asc").write_bytes((SCENES / "valley-3d.asc").read_bytes())
+    good = read_toml(SCENES / f"{name}.toml")
+
+    @given(place=st.sampled_from([*places(good)]), value=VALUES | st.none())
+    def is_read_or_refused(place: tuple[Any, ...], value: Any) -> None:
+        data = copy.deepcopy(good)
+        inner = reduce(operator.getitem, place[:-1], data)
+        inner[place[-1]] = value
+        if value is None:
+            del inner[place[-1]]
+        path.write_text(tomli_w.dumps(data), encoding="utf-8")
+        try:
+            scene = read_scene(path)
+            if scene.particle_volume * 1e6 > np.prod(scene.domain.size):
+                assert np.isfinite(initial_particles(scene).positions).all()
+        except InputError as error:
+            one_line(error, tmp_path)  # or a file beside it
+            mistakes.append(error)
+
+    is_read_or_refused()
+    assert len(mistakes) > 5

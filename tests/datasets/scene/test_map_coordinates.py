@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import pyvista
 import rasterio
+import tomli_w
 from rasterio.transform import Affine
 
 from datasets import Scene, Trajectory, read_scene, write_scene
@@ -26,73 +27,46 @@ PLACE = (2_600_000.0, 2_000.0, 1_200_000.0)
 
 def in_space(east: float, up: float, north: float) -> str:
     """A scene whose every place is moved by these."""
-    origin = f"origin = [{east}, {up}, {north}]" if east else ""
-    return f"""\
-duration = 0.1
-[domain]
-size = [4.0, 3.0, 2.0]
-cell = 0.1
-{origin}
-[material]
-friction_deg = 30.0
-[[masses]]
-lower = [{east + 0.1}, {up + 1.3}, {north + 0.4}]
-size = [0.3, 0.2, 0.7]
-[[masses]]
-kind = "layer"
-thickness = [[0.2, 0.3], [0.3, 0.2]]
-origin = [{east + 1.1}, {north + 0.5}]
-spacing = [0.3, 0.3]
-outline = [[{east + 1.0}, {north + 0.4}], [{east + 1.7}, {north + 0.4}], [{east + 1.7}, {north + 0.9}]]
-[[fields]]
-quantity = "velocity_x"
-origin = [{east}, {up}, {north}]
-spacing = [4.0, 3.0, 2.0]
-nodes = [2, 2, 2]
-values = [1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0]
-[[stages]]
-time = 0.05
-lower = [{east}, {up}, {north + 0.7}]
-size = [4.0, 3.0, 1.0]
-friction_deg = 20.0
-[[baffles]]
-lower = [{east + 3.1}, {up + 0.1}, {north + 0.2}]
-size = [0.1, 1.0, 0.5]
-[[solids]]
-kind = "terrain"
-origin = [{east}, {north}]
-spacing = [4.0, 2.0]
-heights = [[{up + 1.1}, {up + 1.1}], [{up + 0.3}, {up + 0.3}]]
-[[solids]]
-kind = "mesh"
-vertices = [[{east + 2.1}, {up + 1.1}, {north + 0.3}], [{east + 2.5}, {up + 1.1}, {north + 0.3}],
-  [{east + 2.1}, {up + 1.5}, {north + 0.3}], [{east + 2.1}, {up + 1.1}, {north + 0.7}]]
-triangles = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]
-"""
+
+    def at(x: float, y: float, z: float) -> list[float]:
+        return [east + x, up + y, north + z]
+
+    def on(x: float, z: float) -> list[float]:
+        return [east + x, north + z]
+
+    box, plan = [4.0, 3.0, 2.0], [on(1.0, 0.4), on(1.7, 0.4), on(1.7, 0.9)]
+    layer = {"kind": "layer", "thickness": [[0.2, 0.3], [0.3, 0.2]], "origin": on(1.1, 0.5), "spacing": [0.3, 0.3]}
+    field = {"quantity": "velocity_x", "nodes": [2, 2, 2], "values": [1.0] * 4 + [2.0] * 4}
+    heights = [[up + 1.1] * 2, [up + 0.3] * 2]
+    corners = [at(2.1, 1.1, 0.3), at(2.5, 1.1, 0.3), at(2.1, 1.5, 0.3), at(2.1, 1.1, 0.7)]
+    table = {
+        "duration": 0.1,
+        "domain": {"size": box, "cell": 0.1} | ({"origin": at(0.0, 0.0, 0.0)} if east else {}),
+        "material": {"friction_deg": 30.0},
+        "masses": [{"lower": at(0.1, 1.3, 0.4), "size": [0.3, 0.2, 0.7]}, {**layer, "outline": plan}],
+        "fields": [{**field, "origin": at(0.0, 0.0, 0.0), "spacing": box}],
+        "stages": [{"time": 0.05, "lower": at(0.0, 0.0, 0.7), "size": [4.0, 3.0, 1.0], "friction_deg": 20.0}],
+        "baffles": [{"lower": at(3.1, 0.1, 0.2), "size": [0.1, 1.0, 0.5]}],
+        "solids": [
+            {"kind": "terrain", "origin": on(0.0, 0.0), "spacing": [4.0, 2.0], "heights": heights},
+            {"kind": "mesh", "vertices": corners, "triangles": [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]},
+        ],
+    }
+    return tomli_w.dumps(table)
 
 
 def in_plane(east: float, up: float) -> str:
     """The same in 2D."""
-    origin = f"origin = [{east}, {up}]" if east else ""
-    return f"""\
-duration = 0.1
-[domain]
-size = [4.0, 3.0]
-cell = 0.1
-{origin}
-[material]
-friction_deg = 30.0
-[[masses]]
-kind = "layer"
-thickness = 0.3
-outline = [[{east + 0.3}], [{east + 1.1}]]
-[[masses]]
-kind = "polygon"
-vertices = [[{east + 1.2}, {up + 1.7}], [{east + 1.6}, {up + 1.7}], [{east + 1.4}, {up + 1.9}]]
-[[solids]]
-kind = "terrain"
-file = "line.csv"
-"""
+    vertices = [[east + 1.2, up + 1.7], [east + 1.6, up + 1.7], [east + 1.4, up + 1.9]]
+    layer = {"kind": "layer", "thickness": 0.3, "outline": [[east + 0.3], [east + 1.1]]}
+    table = {
+        "duration": 0.1,
+        "domain": {"size": [4.0, 3.0], "cell": 0.1} | ({"origin": [east, up]} if east else {}),
+        "material": {"friction_deg": 30.0},
+        "masses": [layer, {"kind": "polygon", "vertices": vertices}],
+        "solids": [{"kind": "terrain", "file": "line.csv"}],
+    }
+    return tomli_w.dumps(table)
 
 
 def on_map(scene: Scene, crs: str | None = None) -> Scene:

@@ -266,10 +266,8 @@ def test_gauges_read_the_height_of_a_layer_up_to_the_walls() -> None:
 def test_as_many_gauges_as_times(count: int, times: tuple[float, ...]) -> None:
     """A value for each pair, or for each gauge at each time: their number says which."""
     gauges = GaugesSettings(x=(0.1, 0.3), times=(0.2, 0.5), values=(0.05,) * count).operator(BAFFLED)
-    assert isinstance(gauges, Gauges)
     assert gauges.x.tolist() == sorted((0.1, 0.3) * (count // 2))
-    assert gauges.times is not None
-    assert tuple(gauges.times) == times
+    assert gauges.times.tolist() == list(times)
 
 
 def test_a_noise_in_per_cent_without_its_sign_is_said() -> None:
@@ -367,7 +365,6 @@ def test_what_moves_is_differentiable_in_the_speed() -> None:
 def test_the_peak_force_is_the_largest_mean_over_its_window() -> None:
     """J = 2 t^2 kg m/s and, from 0.5 s on, less by 3 N: the last window before 0.5 s, or any after it, either way."""
     run = flow(BAFFLED, 101)
-    assert run.solid_impulse is not None
     for window in (0.1, 0.085):
         peak = PeakForce(BAFFLED, window=window)
         # Exact at frames; between them J is a chord of the parabola, within dt^2 / 4 of it.
@@ -388,7 +385,6 @@ def test_robust_noise_is_stated_in_a_table_and_drawn_with_its_tails(tmp_path: Pa
     (tmp_path / "twin").mkdir()
     asked = written(tmp_path / "twin", text + "[target]\ntwin = true\n")
     target = read_target(asked, flow)
-    assert target.dof is not None
     np.testing.assert_array_equal(target.dof, 4.0)
     off = (target.values - target.observation.observe(flow(asked.scene))) / 0.01
     # Of 400 normal numbers 1 is beyond 3, of Student's t 16; and half of either within 0.67 and 0.74.

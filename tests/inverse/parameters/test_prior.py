@@ -121,14 +121,10 @@ def test_how_wide_a_prior_is_decides_what_was_identified(tmp_path: Path) -> None
     wide, narrow = problem.prior_widths
     assert wide == pytest.approx(2.0 * 1.96 * 2.0 / 0.95, rel=0.01)
     half = np.array([0.3 * wide, 0.2 * narrow])
-    assert unidentified(
-        problem, Answer(parameters=problem.initial, interval=problem.initial + np.outer((-1.0, 1.0), half))
-    ) == ["friction_deg"]
+    found = Answer(parameters=problem.initial, interval=problem.initial + np.outer((-1.0, 1.0), half))
+    assert unidentified(problem, found) == ["friction_deg"]
     free = dataclasses.replace(problem, parameters=plain(problem), correlations=())
-    assert (
-        unidentified(free, Answer(parameters=problem.initial, interval=problem.initial + np.outer((-1.0, 1.0), half)))
-        == []
-    )
+    assert unidentified(free, found) == []
     np.testing.assert_array_equal(free.prior_widths, free.box.range)
     assert Combination(weights={}, half_width=0.25).identifiable
     assert not Combination(weights={}, half_width=0.25, prior=0.3).identifiable
@@ -136,22 +132,12 @@ def test_how_wide_a_prior_is_decides_what_was_identified(tmp_path: Path) -> None
 
 GOOD = """
 scene = "column-tall-42"
-[[unknowns]]
-name = "friction_deg"
-lower = 16.0
-upper = 45.0
-prior = { kind = "normal", mean = 30.0, deviation = 2.0 }
-[[unknowns]]
-name = "cohesion"
-lower = 30.0
-upper = 3000.0
-prior = { kind = "lognormal", mean = 600.0, deviation = 400.0 }
-[[correlations]]
-between = ["friction_deg", "cohesion"]
-coefficient = -0.5
-[[observations]]
-kind = "front"
-value = 0.55
+unknowns = [
+  { name = "friction_deg", lower = 16.0, upper = 45.0, prior = { kind = "normal", mean = 30.0, deviation = 2.0 } },
+  { name = "cohesion", lower = 30.0, upper = 3000.0, prior = { kind = "lognormal", mean = 600.0, deviation = 400.0 } },
+]
+correlations = [{ between = ["friction_deg", "cohesion"], coefficient = -0.5 }]
+observations = [{ kind = "front", value = 0.55 }]
 """
 
 
@@ -179,12 +165,9 @@ def test_a_stated_prior_is_read_and_a_uniform_one_is_none(tmp_path: Path) -> Non
 
 def test_a_lognormal_velocity_below_0_and_pairs_that_contradict_each_other_are_refused() -> None:
     assert refused(LOGNORMAL.check, -1.0, 5.0).key == "kind"
-    numbers = {name: number(None, name).marginal for name in ("a", "b", "c")}
-    pairs = [
-        Correlation(between=between, coefficient=coefficient)
-        for between, coefficient in ((("a", "b"), 0.9), (("b", "c"), 0.9), (("a", "c"), -0.9))
-    ]
-    assert refused(JointPrior, numbers, pairs).key == "correlations"
+    numbers, pairs = {name: number(None, name).marginal for name in "abc"}, (("ab", 0.9), ("bc", 0.9), ("ac", -0.9))
+    stated = [Correlation(between=tuple(pair), coefficient=coefficient) for pair, coefficient in pairs]
+    assert refused(JointPrior, numbers, stated).key == "correlations"
 
 
 @pytest.mark.parametrize("made", [Formula, WithGradient])

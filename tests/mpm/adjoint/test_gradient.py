@@ -299,12 +299,8 @@ def test_what_a_run_begins_with_is_made_anew_where_a_path_changes_it(change: dic
                 getattr(renewed.particles, name), getattr(whole.particles, name), err_msg=name
             )
         ours, theirs = (
-            {
-                (*node, face): share
-                for node, (face, _, share) in zip(state.held, state.holds, strict=True)
-                if share > 0.0
-            }
-            for state in (renewed, whole)
+            {(*node, face): share for node, (face, _, share) in zip(run.held, run.holds, strict=True) if share > 0.0}
+            for run in (renewed, whole)
         )
         assert ours.items() <= theirs.items()
         assert len(ours) > 0.8 * len(theirs) > 0.0

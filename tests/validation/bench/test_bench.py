@@ -34,10 +34,8 @@ def test_finished_work_is_held_and_goes_with_a_temporary_folder(
 def test_a_point_that_slides_loses_what_the_bed_turns() -> None:
     """Down a slope, through a kink and along a plain: v^2 falls by exp(-2 mu theta) there; raised it is the same."""
     x, mu, steep = np.linspace(0.0, 3000.0, 3001), 0.35, 0.7
-    height, energy = (
-        np.maximum(0.0, steep * (1000.0 - x)),
-        1000.0 * (steep - mu) * math.exp(-2.0 * mu * math.atan(steep)),
-    )
+    height = np.maximum(0.0, steep * (1000.0 - x))
+    energy = 1000.0 * (steep - mu) * math.exp(-2.0 * mu * math.atan(steep))
     exact = 1000.0 * steep / (1000.0 + energy / mu)
     assert sliding_point(x, height, 0.0, mu) == pytest.approx(exact, rel=1e-9)
     assert sliding_point(x, height + 1.0e3, 0.0, mu) == pytest.approx(exact, rel=1e-9)

@@ -62,14 +62,9 @@ def model() -> ModelErrors:
 
     by = {f"MPM, {cells} cells across": off(0.4 / cells) for cells in (20, 10, 5)}
     seconds = dict(zip(by, (1.0, 0.25, 0.0625), strict=True))
-    first = Compared(
-        kind="column",
-        extent=0.4,
-        free=True,
-        by=by | {"tiny": off(-0.05), AGAIN: off(0.005)},
-        seconds=seconds | {"tiny": 0.5, AGAIN: 2.0},
-        band=(0.01, 0.02),
-    )
+    by |= {"tiny": off(-0.05), AGAIN: off(0.005)}
+    seconds |= {"tiny": 0.5, AGAIN: 2.0}
+    first = Compared(kind="column", extent=0.4, free=True, by=by, seconds=seconds, band=(0.01, 0.02))
     second = replace(first, free=False, by=first.by | {"tiny": off(0.05)}, band=None)
     return ModelErrors(name="tiny", family="flow2d", compared=[first, second])
 
@@ -78,13 +73,9 @@ def test_the_price_is_that_of_the_cheapest_mpm_with_no_larger_error() -> None:
     _, price, bands = conclusion([model()], {})
     assert "0.5 s and 0.25 s (flow2d)" in price
     assert "1 of 1 fronts" in bands
-    (scene, other), points = model().compared, model().points
-    finer = replace(
-        model(),
-        compared=[replace(comparison, by=comparison.by | {"tiny": scene.by[AGAIN]}) for comparison in (scene, other)],
-    )
-    assert "no coarse run" in conclusion([finer], {})[1]
-    assert points["tiny"] == (0.5, pytest.approx(0.05))
+    finer = [replace(scene, by=scene.by | {"tiny": scene.by[AGAIN]}) for scene in model().compared]
+    assert "no coarse run" in conclusion([replace(model(), compared=finer)], {})[1]
+    assert model().points["tiny"] == (0.5, pytest.approx(0.05))
 
 
 def test_the_page_has_every_error_of_each_kind() -> None:

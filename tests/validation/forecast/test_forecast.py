@@ -39,11 +39,8 @@ class Slabs:
         return [self.flow(scene) for scene in scenes]
 
     def flow(self, scene: Scene) -> Trajectory:
-        x = (
-            0.6
-            - 0.01 * (scene.material.friction_deg - MEAN)
-            + self.scatter * np.random.default_rng(scene.seed).normal()
-        )
+        scatter = self.scatter * np.random.default_rng(scene.seed).normal()
+        x = 0.6 - 0.01 * (scene.material.friction_deg - MEAN) + scatter
         if scene.domain.cell < SCENE.domain.cell:
             x += 0.03
         place = [x, 0.02] if scene.dimension == 2 else [x, 0.02, 0.4]
@@ -126,9 +123,7 @@ def test_the_mean_height_of_a_thin_deposit_is_that_of_its_thickness() -> None:
     scene = room(Mass(lower=(0.0, 0.0, 0.3), size=(0.2, 0.1, 0.2)))
     x, z = np.meshgrid(*(0.2 + 0.01 * (np.arange(40) + 0.5),) * 2, indexing="ij")
     positions = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
-    assert height_of(scene, positions, np.full(x.size, 0.02 * 0.01**2)) == pytest.approx(
-        0.01, rel=0.1
-    )  # less at its edges
+    assert height_of(scene, positions, np.full(x.size, 0.02 * 0.01**2)) == pytest.approx(0.01, rel=0.1)
 
 
 def test_the_solid_of_an_unknown_is_found_by_its_name_or_its_kind() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 
 from datasets.command_line import run
 from datasets.flow import measures
@@ -23,26 +24,26 @@ pytestmark = pytest.mark.slow
 
 TRUTH = 24.2
 """Friction angle of the measured column [deg]."""
-ANGLE = """
-scene = "column-tall-42"
-surrogate = "none"
-unknowns = [{ name = "friction_deg", initial = 30.0, lower = 12.0, upper = 52.0 }]
-"""
-PROFILE = '[[observations]]\nkind = "profile"\ncsv = "seen.csv"\nnoise = "3%"\n'
-FRONT = '[[observations]]\nkind = "front"\nvalue = 0.743\nnoise = "3%"\n'
-HEAD = 'scene = "scene.toml"\nsurrogate = "none"\n'
-BOX = """
-floor_friction = 0.4
-step_fraction = 0.9
-domain = { size = [1.0, 0.3], cell = 0.02 }
-material = { friction_deg = 30.0, young = 5.0e5 }
-"""
+HEAD = {"scene": "scene.toml", "surrogate": "none"}
+ANGLE = {
+    "scene": "column-tall-42",
+    "surrogate": "none",
+    "unknowns": [{"name": "friction_deg", "initial": 30.0, "lower": 12.0, "upper": 52.0}],
+}
+PROFILE = {"kind": "profile", "csv": "seen.csv", "noise": "3%"}
+FRONT = {"kind": "front", "value": 0.743, "noise": "3%"}
+BOX = {
+    "floor_friction": 0.4,
+    "step_fraction": 0.9,
+    "domain": {"size": [1.0, 0.3], "cell": 0.02},
+    "material": {"friction_deg": 30.0, "young": 5.0e5},
+}
 
 
-def solved(folder: Path, problem: str, scene: str = "") -> dict[str, Any]:
+def solved(folder: Path, problem: dict[str, Any], **scene: Any) -> dict[str, Any]:
     """`result.json` of the loop for a problem, of a scene that ships or of this one."""
-    (folder / "scene.toml").write_text(scene)
-    (folder / "problem.toml").write_text(problem)
+    (folder / "scene.toml").write_text(tomli_w.dumps(scene))
+    (folder / "problem.toml").write_text(tomli_w.dumps(problem))
     run(main, "loop", [str(folder / "problem.toml"), "--out", str(folder / "out")])
     return dict(json.loads((folder / "out" / "result.json").read_text()))
 
@@ -71,39 +72,35 @@ def rows() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("heights", "observed"), [("surface", PROFILE + 'heights = "surface"\n'), ("equivalent", FRONT + PROFILE)]
+    ("heights", "observed"), [("surface", [PROFILE | {"heights": "surface"}]), ("equivalent", [FRONT, PROFILE])]
 )
 def test_the_truth_lies_in_the_interval_of_each_form(
-    rows: dict[str, np.ndarray], tmp_path: Path, heights: str, observed: str
+    rows: dict[str, np.ndarray], tmp_path: Path, heights: str, observed: list[dict[str, Any]]
 ) -> None:
     table = np.stack([rows["x"], rows[heights]], axis=1)
     np.savetxt(tmp_path / "seen.csv", table, fmt="%.6g", delimiter=",", header="x,height", comments="")
-    check(solved(tmp_path, ANGLE + observed), {"friction_deg": TRUTH}, widest=2.0)
+    check(solved(tmp_path, ANGLE | {"observations": observed}), {"friction_deg": TRUTH}, widest=2.0)
 
 
 def test_three_layers_have_their_velocities(tmp_path: Path) -> None:
     names, speeds = [f"masses[{row}].velocity_x" for row in range(3)], (0.9, 0.6, 0.3)
-    masses = "".join(
-        f"[[masses]]\nlower = [0.0, {0.06 * row:g}]\nsize = [0.3, 0.06]\nvelocity = [{speed}, 0.0]\n"
-        for row, speed in enumerate(speeds)
-    )
-    problem = HEAD + 'observations = [{ kind = "deposit" }]\ntarget = { twin = true }\n'
-    problem += "".join(f'[[unknowns]]\nname = "{name}"\ninitial = 0.0\nlower = -0.5\nupper = 1.5\n' for name in names)
-    result = solved(tmp_path, problem, "duration = 0.2\n" + BOX + masses)
+    masses = [{"lower": [0.0, 0.06 * row], "size": [0.3, 0.06], "velocity": [speeds[row], 0.0]} for row in range(3)]
+    unknowns = [{"name": name, "initial": 0.0, "lower": -0.5, "upper": 1.5} for name in names]
+    problem = HEAD | {"observations": [{"kind": "deposit"}], "target": {"twin": True}, "unknowns": unknowns}
+    result = solved(tmp_path, problem, duration=0.2, masses=masses, **BOX)
     check(result, dict(zip(names, speeds, strict=True)), widest=0.2, within=2.0)
 
 
 def test_two_baffles_have_their_places(tmp_path: Path) -> None:
     centres, starts = {"baffles[0].x": 0.42, "baffles[1].x": 0.68}, (0.38, 0.68)
-    body = "[[masses]]\nlower = [0.0, 0.0]\nsize = [0.2, 0.2]\nvelocity = [2.0, 0.0]\n"
-    baffles = "".join(f"[[baffles]]\nlower = [{x}, 0.0]\nsize = [0.04, 0.05]\n" for x in (0.36, 0.66))
-    truth = ", ".join(f'"{name}" = {x}' for name, x in centres.items())
-    problem = HEAD + 'observations = [{ kind = "profile" }]\n'
-    problem += f"target = {{ twin = true, truth = {{ {truth} }} }}\n" + "".join(
-        f'[[unknowns]]\nname = "{name}"\ninitial = {start}\nlower = {start - 0.08:g}\nupper = {start + 0.08:g}\n'
+    body = {"lower": [0.0, 0.0], "size": [0.2, 0.2], "velocity": [2.0, 0.0]}
+    baffles = [{"lower": [x, 0.0], "size": [0.04, 0.05]} for x in (0.36, 0.66)]
+    unknowns = [
+        {"name": name, "initial": start, "lower": round(start - 0.08, 2), "upper": round(start + 0.08, 2)}
         for name, start in zip(centres, starts, strict=True)
-    )
-    result = solved(tmp_path, problem, "duration = 0.6\n" + BOX + body + baffles)
+    ]
+    problem = HEAD | {"observations": [{"kind": "profile"}], "target": {"twin": True, "truth": centres}}
+    result = solved(tmp_path, problem | {"unknowns": unknowns}, duration=0.6, masses=[body], baffles=baffles, **BOX)
     check(result, centres, widest=0.04, within=2.0)
 
 

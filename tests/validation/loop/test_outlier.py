@@ -120,20 +120,17 @@ def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
 
 LATE = 0.3 + moved(np.maximum(TIMES - 0.035, 0.0), np.array(SPEED), np.array(FRICTION))
 RIGHT = 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION))
-OFF = RIGHT + 0.05 * (TIMES == 0.18) - 0.06 * (TIMES == 0.60)
 
 
-@pytest.mark.parametrize(("values", "fits", "outliers"), [(RIGHT, True, []), (LATE, False, []), (OFF, False, [2, 6])])
-def test_errors_of_the_cells_hide_no_late_clock_and_no_outlier(
-    tmp_path: Path, values: Floats, fits: bool, outliers: list[int]
-) -> None:
+@pytest.mark.parametrize(("values", "fits"), [(RIGHT, True), (LATE, False)])
+def test_errors_of_the_cells_hide_no_late_clock(tmp_path: Path, values: Floats, fits: bool) -> None:
     """Cells err by more than four times the noise, but smoothly: a clock 35 ms late is a misfit all the same."""
     problem = problem_of(tmp_path, values, NAMES[:1])
     result = solved(problem, tmp_path, partial(slide, cells=1.5))
     fit = result.answers[0].fit
     assert fit.cells > 4.0 * fit.noise
-    assert list(fit.outliers) == outliers
-    assert fit.inside is not bool(outliers)
+    assert list(fit.outliers) == []
+    assert fit.inside
     assert (fit.probability > 0.5) is fits
     assert (fit.applied == 1.0) is fits
     assert result.answers[0].holds(np.array([SPEED])).all()
@@ -150,7 +147,6 @@ def test_an_outlier_of_robust_noise_moves_nothing(tmp_path: Path, unknowns: int,
     values = 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION)) + off * (TIMES == 0.30)
     problem = problem_of(tmp_path, values, NAMES[:unknowns])
     seen = replace(problem.observations[0], noise=Student(dof=DOF, deviation=NOISE))
-    assert isinstance(seen, FrontSettings)
     problem = replace(problem, observations=(seen,))
     result = solved(problem, tmp_path)
     assert result.verdict is Verdict.CONFIRMED
