@@ -157,7 +157,7 @@ def open_trajectory(path: str | Path, *fields: str) -> Trajectory:
     """The trajectory at `path`, its positions read when they are used, without the summary and recorded fields but
     `fields`, where they are there.
 
-    Checks what there is to check without reading the positions. Raises InputError, which names the file and the key.
+    Of the positions the first and the last frame are checked. Raises InputError, which names the file and the key.
     """
     path = Path(path)
     needed = [key for key in REQUIRED if key != "positions"]
@@ -182,8 +182,9 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
             expected, parent = ("integers", np.integer) if kind is np.int32 else ("floating-point numbers", np.floating)
             require(np.issubdtype(array.dtype, parent), key, expected, array.dtype)
     require(scene.dimension == dimension, "positions", f"{scene.dimension}D positions as in the scene", f"{dimension}D")
-    for key in ("velocity0",) if lazily else ("velocity0", "positions"):
-        require(bool((np.abs(arrays[key]) < FARTHEST).all()), key, "finite numbers", "others")
+    frames_read = (positions[0], positions[-1]) if lazily else (positions,)
+    for key, array in (("velocity0", arrays["velocity0"]), *(("positions", part) for part in frames_read)):
+        require(bool((np.abs(array) < FARTHEST).all()), key, "finite numbers", "others")
     time, friction, volume, mass = arrays["time"], arrays["friction"], arrays.get("volume"), arrays.get("mass")
     ascending = np.isfinite(time).all() and time[0] >= 0.0 and (np.diff(time) > 0.0).all()
     require(bool(ascending), "time", "ascending times of at least 0 s", "others")

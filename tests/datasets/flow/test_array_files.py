@@ -95,6 +95,15 @@ def test_damage_within_a_frame_is_one_line_when_it_is_read(flow: Trajectory, tmp
     refused(lambda: [positions[frame] for frame in range(len(positions))], said="flow.h5: positions: expected a")
 
 
+@pytest.mark.parametrize("name", ["flow.npz", "flow.h5"])
+def test_a_flow_that_blew_up_is_refused_before_its_frames_are_read(flow: Trajectory, tmp_path: Path, name: str) -> None:
+    """A page of it was written, with a warning of NumPy."""
+    positions = flow.positions.copy()
+    positions[3:, 2] = np.nan
+    dataclasses.replace(flow, positions=positions).save(tmp_path / name)
+    assert refused(open_trajectory, tmp_path / name, said="finite numbers").key == "positions"
+
+
 def with_member(path: Path, content: bytes) -> Path:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("data.npy", content)
