@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeVar, get_args, get_type_hints
 
 from pydantic import ConfigDict, PlainValidator, TypeAdapter, ValidationError
 
-from datasets.errors import InputError, OutOfRange
+from datasets.errors import InputError, OutOfRange, require
 from datasets.files import line_of
 
 T = TypeVar("T")
