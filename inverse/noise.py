@@ -21,14 +21,19 @@ which the scatter is known and N, D, C the sums of n^2, d^2 and (1 + 1/k) c^2: w
 
 Where there are more numbers than parameters and S is above what chance explains once in twenty times, half-widths are
 multiplied by S (M / (M - U))^(1/2), as if all noise had been stated too small: Birge's ratio (R. T. Birge, The
-calculation of errors by the method of least squares, Phys. Rev. 40 (1932) 207-227).
+calculation of errors by the method of least squares, Phys. Rev. 40 (1932) 207-227). Beside an error of the cells the
+residuals say which is too small: it is all, or noise and scatter alone, whatever makes them likelier,
+
+    F^2 (K + D)  or  F^2 K + D,    r^T (...)^-1 r = M - U
+
 """
 
 import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import eigh, solve_triangular
+from scipy.optimize import brentq
 from scipy.stats import f, norm
 
 from datasets.flow.measures import rms
@@ -125,8 +130,12 @@ class Fit:
     """U."""
     outliers: dict[int, float] = field(default_factory=dict)
     """Numbers that others do not predict, with z of each (`outlying`)."""
+    alone: float | None = None
+    """F where the residuals are likelier with noise and scatter alone multiplied by it."""
     applied: float = 1.0
-    """Factor by which half-widths are multiplied, as they are reported."""
+    """F that was applied, as it is reported."""
+    spared: bool = False
+    """Whether to noise and scatter alone."""
 
     @property
     def allowed(self) -> float:
@@ -146,10 +155,10 @@ class Fit:
 
     @property
     def factor(self) -> float:
-        """By which half-widths are to be multiplied, 1 at least: Birge's ratio, of M - U free numbers."""
+        """F, by which errors are to be multiplied, 1 at least: Birge's ratio, of M - U free numbers."""
         if self.numbers <= self.parameters or self.ratio <= 1.0 or self.probability >= RARE:
             return 1.0
-        return self.ratio * math.sqrt(self.numbers / (self.numbers - self.parameters))
+        return self.alone or self.ratio * math.sqrt(self.numbers / (self.numbers - self.parameters))
 
 
 def biases(target: Target, cells: Floats, extrapolated: float) -> Floats:
@@ -209,6 +218,9 @@ def fit(
         square = float(np.sum(solve_triangular(lower, half.T, lower=True) ** 2))
         whitened = solve_triangular(lower, residual, lower=True)
         independent = independent + cells**2
+    alone = None
+    if bias is not None and size > parameters:
+        alone = noise_alone(residual / np.sqrt(total), bias / np.sqrt(np.outer(total, total)), size - parameters)
     predicted = None
     if slopes is not None:
         # Parameters in fractions of their ranges have the variance 1/12.
@@ -227,7 +239,24 @@ def fit(
         numbers=size,
         parameters=parameters,
         outliers={} if predicted is None else outlying(residual, predicted),
+        alone=alone,
     )
+
+
+def noise_alone(residual: Floats, bias: Floats, freedom: int) -> float | None:
+    """F > 1 of F^2 I + D where that makes residuals [M] likelier than F^2 (I + D), in units of noise and scatter."""
+    values, axes = eigh(bias)
+    values, squares = np.maximum(values, 0.0), (axes.T @ residual) ** 2
+
+    def excess(square: float) -> float:
+        return float((squares / (square + values)).sum()) - freedom
+
+    if excess(1.0) <= 0.0:
+        return None
+    square = float(brentq(excess, 1.0, 1.0 + float(squares.sum()) / freedom))
+    every = float((squares / (1.0 + values)).sum()) / freedom
+    likelier = np.log(square + values).sum() < np.log(every * (1.0 + values)).sum()
+    return math.sqrt(square) if likelier else None
 
 
 def outlying(residual: Floats, covariance: Floats) -> dict[int, float]:

@@ -187,7 +187,8 @@ def quality(result: Result) -> str:
     fit = result.answers[0].fit
     if fit is not None and fit.applied > 1.0:
         times = f"{fit.applied:.2g} times"
-        parts.append(f"the fit is {times} worse than noise, scatter and cells explain, the intervals {times} as wide")
+        wider = f"noise and scatter count {times}" if fit.spared else f"the intervals are {times} as wide"
+        parts.append(f"the fit is {times} worse than noise, scatter and cells explain, so {wider}")
     if fit is not None and fit.outliers:
         counts = [(part.name, len(result.target.values[part.numbers])) for part in result.target.observation.parts]
         names = [f"{name} {n + 1}" for name, count in counts for n in range(count)]

@@ -50,6 +50,8 @@ class Inference:
     of so many runs their own emulator excludes enough, and is right where the surrogate's band is too narrow."""
     factor: float = 1.0
     """Of the discrepancy."""
+    spared: bool = False
+    """Whether it leaves the error of the cells as it is."""
     discretisation: Values | None = None
     """What the cells of the scene change of the numbers, as runs on other cells show, shape [M]."""
     extrapolated: float = 1.0
@@ -73,6 +75,9 @@ class Inference:
         points, guide = search.points, self.guide
         many = points.shape[1] > CONSTANTS.few_parameters
         target, region = self.target, self.region or self.left(points, known=len(search.known) > 0)
+        cells = self.discretisation
+        if cells is not None and self.spared:
+            cells = cells / self.factor
         for _ in range(UPDATES):
             latest = posterior(
                 points,
@@ -82,7 +87,7 @@ class Inference:
                 region=region,
                 rng=search.generator(),
                 factor=self.factor,
-                discretisation=self.discretisation,
+                discretisation=cells,
                 extrapolated=self.extrapolated,
                 trends=(linear,) if guide is None else (guide.trend, linear),
                 within=None if guide is None or (many and search.waves) else guide.within,

@@ -1,5 +1,7 @@
 """The predictive interval: as wide as noise, scatter and cells say, over seeds; what is beyond it is named."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -108,3 +110,20 @@ def test_the_error_of_the_cells_is_one_smooth_bias_and_hides_no_outlier() -> Non
         shown = np.zeros((4, size)) + off
         fitted = fit(target_of(np.zeros(size), 0.005), shown, scatter, cells=cells, parameters=1, slopes=slopes)
         assert (fitted.inside, list(fitted.outliers)) == (inside, named)
+
+
+def test_what_is_too_small_is_all_or_noise_and_scatter_alone() -> None:
+    """Beside an error of the cells: an outlier speaks for the noise, a misfit as smooth as that error for all."""
+    rng, size = np.random.default_rng(6), 8
+    scatter, cells, outlier = scatter_of(rng, size, 0.0005, expected=0.0005), np.full(size, 0.005), np.zeros(size)
+    outlier[4] = 0.03
+    fitted = fit(target_of(np.zeros(size), 0.005), outlier[None], scatter, cells=cells, parameters=1)
+    # By hand, without the scatter: one residual off the mean, which the bias takes.
+    around = outlier - outlier.mean()
+    expected = math.sqrt(float(around @ around) / 0.005**2 / (size - 1))
+    assert fitted.alone == pytest.approx(expected, rel=0.06)
+    assert fitted.factor == fitted.alone
+    smooth = fit(target_of(np.zeros(size), 0.005), 12.0 * cells[None], scatter, cells=cells, parameters=1)
+    assert smooth.alone is None
+    assert smooth.factor == pytest.approx(smooth.ratio * math.sqrt(size / (size - 1)))
+    assert smooth.factor > 3.0

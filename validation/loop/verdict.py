@@ -59,19 +59,20 @@ def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Concl
         beyond = 1.0 if share <= 0.0 else max(0.0, 1.0 - 1.0 / share)
         state, answers = checked(reopened(state, discretisation=change, extrapolated=beyond), moves=moves)
     for _ in range(CONSTANTS.rounds):
-        factor, before = discrepancy(state, answers[0]), state.knowledge.factor
-        if abs(factor - before) <= SETTLED * before:
+        shown, before = discrepancy(state, answers[0]), state.knowledge.factor
+        if abs(shown.factor - before) <= SETTLED * before:
             break
         # The residuals are least in another place where all parameters are open again that they had excluded.
-        state, answers = checked(reopened(state, factor=factor), again=False, moves=min(1, moves))
+        wider = reopened(state, factor=shown.factor, spared=shown.alone is not None)
+        state, answers = checked(wider, again=False, moves=min(1, moves))
     # What the MPM refuses is no other answer beside one that it confirms.
     answers = tuple(answer for answer in answers if answer.confirmed) or answers
     verdict = judge(task.problem, answers, excluded=excluded)
     return Conclusion(search=state, answers=answers, verdict=verdict, cells=cells)
 
 
-def discrepancy(state: Loop, answer: Answer) -> float:
-    """Factor of all errors by the fit of `answer` where its part of the posterior is likeliest: Birge's ratio.
+def discrepancy(state: Loop, answer: Answer) -> Fit:
+    """The fit of `answer` where its part of the posterior is likeliest: by Birge's ratio its errors are larger.
 
     Residuals are least there; a skewed posterior has its median elsewhere.
     """
@@ -79,7 +80,7 @@ def discrepancy(state: Loop, answer: Answer) -> float:
     location = state.knowledge.box.shares(answer.parameters)
     part = min(parts_of(state), key=lambda candidate: float(np.linalg.norm(candidate.point - location)))
     best = part.points[[int(np.argmax(state.knowledge.posterior.likelihood(part.points)))]]
-    return fitted(state, answer.checks, best[0]).factor
+    return fitted(state, answer.checks, best[0])
 
 
 def reopened(state: Loop, **changes: Any) -> Loop:
@@ -185,7 +186,8 @@ def answers_of(state: Loop, parts: Sequence[Part]) -> tuple[Answer, ...]:
     box, answers = state.knowledge.box, []
     for part in parts:
         checks = checks_of(state, part) or [state.every[int(np.argmin(distances(state.every, part)))]]
-        fit = replace(fitted(state, checks, part.point), applied=state.knowledge.factor)
+        known = state.knowledge
+        fit = replace(fitted(state, checks, part.point), applied=known.factor, spared=known.spared)
         place, ends = box.at(part.point), box.at(part.interval)
         answers.append(Answer(parameters=place, interval=ends, weight=part.weight, checks=tuple(checks), fit=fit))
     return tuple(sorted(answers, key=lambda answer: not answer.confirmed))
