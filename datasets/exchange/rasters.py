@@ -97,6 +97,8 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
     require(name.lower() in METRES, "", "a projected coordinate system in metres", f"one in {name}")
     require(georeferenced, "", "a raster that says where it lies and how large its cells are", "one that does not")
+    sized = transform.a * transform.e != transform.b * transform.d
+    require(sized, "", "cells larger than 0 m", f"{transform.a:g} x {abs(transform.e):g} m")
     upright = transform.b == transform.d == 0.0 and transform.a > 0.0 and transform.e != 0.0
     require(upright, "", "a raster whose rows run from west to east", "one that is turned or mirrored")
     require(scale != 0.0 and usual(scale) and usual(offset), "", "a finite scale and offset", (scale, offset))

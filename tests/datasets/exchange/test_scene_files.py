@@ -296,6 +296,7 @@ def heights_in_feet(path: Path) -> None:
 
 
 CASES: list[tuple[str, Callable[[Path], object], str]] = [
+    ("dem.asc", misspelt(b" 0.1000", b" 0.0000"), "expected cells larger than 0 m, got 0 x 0 m"),
     ("dem.asc", misspelt(b" 0.25", b" abc"), "expected numbers, got 'abc' in line 7"),
     ("dem.asc", misspelt(b" 0.25", b" 1.000,25"), "expected numbers, got '1.000,25' in line 7"),
     ("dem.asc", misspelt(b" 0.25", b" 0.2 5"), "expected 200 values, as the header says, got 201"),
