@@ -91,10 +91,8 @@ class Objective:
             basis, singular, _ = np.linalg.svd(self.whitened((draws - draws.mean(axis=0)).T), full_matrices=False)
             matter = int((singular**2 / (len(draws) - 1) > SMALL).sum())
             basis = basis[:, : max(1, matter)]
-        self.rows = np.asarray(basis.T)
-        """Orthonormal combinations of whitened numbers, shape [r, M]."""
-        self.combinations = self.rows @ self.whitened(np.eye(len(target)))
-        """The same of the numbers, shape [r, M]."""
+        self.combinations = np.asarray(scipy.linalg.solve_triangular(self.root, basis, lower=True, trans="T").T)
+        """U^T L^-1 with orthonormal U: uncorrelated combinations of the numbers with errors of 1, shape [r, M]."""
         self.iterates: list[dict[str, float]] = []
         self.missed: list[tuple[float, float]] = []
         """|e|^2 and |dw|^2 of each step that was tried: what derivatives did not foresee, e = L^-1 dF - G dw."""
@@ -129,7 +127,7 @@ class Objective:
         decrease, first = math.inf, len(self.iterates)
         while True:
             jacobian = lead.jacobian(white, self.combinations, seeds)
-            residual = self.rows @ self.whitened(numbers - self.target)
+            residual = self.combinations @ (numbers - self.target)
             proposed = linear_mean(jacobian, white, residual)
             promised = gain(jacobian, residual, white, proposed - white)
             posterior, step = Gaussian(white, jacobian, promised, self.combinations), 1.0
@@ -141,7 +139,7 @@ class Objective:
                 moved = step * (proposed - white)
                 shown = self.flow.mean(white + moved, self.seeds)
                 iterate = self.iterate(white + moved, shown, step)
-                missed = self.rows @ self.whitened(shown - numbers) - jacobian @ moved
+                missed = self.combinations @ (shown - numbers) - jacobian @ moved
                 self.missed.append((float(missed @ missed), float(moved @ moved)))
                 decrease = self.iterates[-1]["objective"] - iterate["objective"]
                 if decrease > DECREASE * gain(jacobian, residual, white, moved):
@@ -154,8 +152,7 @@ class Objective:
 
     def doubt(self, scatter: Floats) -> float:
         """Mean of |e|^2 / |dw|^2 over the steps, without what two runs differ by with the `scatter` [M, M] of each."""
-        whitened = self.rows @ self.whitened(self.whitened(scatter).T).T
-        noise = 2.0 * float((whitened * self.rows).sum())
+        noise = 2.0 * float(((self.combinations @ scatter) * self.combinations).sum())
         return float(np.mean([max(0.0, missed - noise) / moved for missed, moved in self.missed] or 0.0))
 
 
@@ -180,10 +177,12 @@ def doubted(posterior: Gaussian, wrong: float, directions: Floats) -> Gaussian:
 def linear_mean(jacobian: Floats, white: Floats, residual: Floats) -> Floats:
     """The most probable w [W] of numbers that are linear about `white`, where they are off by `residual` [r].
 
-    w = G^T (I + G G^T)^-1 (G w0 - residual): r equations in place of W.
+    w = G^T (I + G G^T)^-1 (G w0 - residual) = (I + G^T G)^-1 G^T (G w0 - residual): whichever has fewer equations.
     """
-    inner = np.eye(len(residual)) + jacobian @ jacobian.T
-    return np.asarray(jacobian.T @ np.linalg.solve(inner, jacobian @ white - residual))
+    off = jacobian @ white - residual
+    if len(residual) <= len(white):
+        return np.asarray(jacobian.T @ np.linalg.solve(np.eye(len(residual)) + jacobian @ jacobian.T, off))
+    return np.asarray(np.linalg.solve(np.eye(len(white)) + jacobian.T @ jacobian, jacobian.T @ off))
 
 
 def gain(jacobian: Floats, residual: Floats, white: Floats, step: Floats) -> float:
