@@ -218,8 +218,8 @@ def fit(
         square = float(np.sum(solve_triangular(lower, half.T, lower=True) ** 2))
         whitened = solve_triangular(lower, residual, lower=True)
         independent = independent + cells**2
-    alone = None
-    if bias is not None and size > parameters:
+    alone, ratio = None, rms(whitened)
+    if bias is not None and ratio > 1.0 and size > parameters:
         alone = noise_alone(residual / np.sqrt(total), bias / np.sqrt(np.outer(total, total)), size - parameters)
     predicted = None
     if slopes is not None:
@@ -234,7 +234,7 @@ def fit(
         noise=rms(errors.deviation),
         scatter=rms(np.sqrt(scatter.variance)),
         cells=0.0 if cells is None else rms(cells),
-        ratio=math.sqrt(float(np.mean(whitened**2))),
+        ratio=ratio,
         freedom=(first, min(second, 1e9)),
         numbers=size,
         parameters=parameters,

@@ -165,8 +165,8 @@ def doubted(posterior: Gaussian, wrong: float, directions: Floats) -> Gaussian:
 
         s_k^2 <- s_k^2 / (1 + wrong tr(D cov(w) D^T) s_k / sum s)
 
-    So a direction that is itself uncertain is not known exactly, however small the noise is. The exponent is measured:
-    derivatives on two sizes of cells differ so in the problem `gully`.
+    So a direction that is itself uncertain is not known exactly, however small the noise is. The exponent is that by
+    which derivatives on two sizes of cells differ in the problem `gully`, measured once.
     """
     left, values, rest = np.linalg.svd(posterior.jacobian, full_matrices=False)
     spread = len(directions) - float(((directions @ posterior.removed) ** 2).sum())
