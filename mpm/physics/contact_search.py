@@ -1,9 +1,10 @@
 """The face that each particle is nearest to, and the way of a step that ends where it meets one.
 
 No particle passes a face: a displacement that crosses one ends there and goes on along it. Of a block, all lanes at
-once, first those particles are done whose nearest face is the same as before (`follow_faces`); each of the others
-searches (`find_contact`). A terrain in 3D stands in no list: last its bed, of all lanes at once, takes the place of a
-face that is farther (`find_bed`), and what is in it is put out.
+once, first those particles are done whose nearest face is the same as before (`follow_faces`); of the others each
+follows the edge that it is nearest to (`follow_edge`) or searches (`find_contact`). A terrain in 3D stands in no list:
+last its bed, of all lanes at once, takes the place of a face that is farther (`find_bed`), and what is in it is put
+out.
 """
 
 import taichi as ti
@@ -26,8 +27,10 @@ from mpm.physics.contact import contact_at
 from mpm.solids.face_lookup import (
     TINY,
     cell_of,
+    corners_of,
     face_number,
     first_crossed,
+    foot_on_face,
     free_path,
     frictions_of,
     list_of,
@@ -75,7 +78,11 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
                 for lane in range(lanes):
                     bound = arrays.scratch_lanes[(scratch + features.scratch.push) * lanes + lane]
                     if bound < nearby:
-                        find_contact(block, scratch, lane, bound, worker, scene, arrays)
+                        at_edge = arrays.lanes[contact_at(block, Contact.FREE, arrays) * lanes + lane] < 0.0
+                        if at_edge and bound > 0.0:
+                            follow_edge(block, lane, scene, arrays)
+                        else:
+                            find_contact(block, scratch, lane, bound, worker, scene, arrays)
         if ti.static(features.terrain):
             if arrays.offsets[scene, Offset.TERRAIN] > 0:
                 find_bed(block, scratch, nearby, worker, scene, arrays)
@@ -93,8 +100,9 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
     features = arrays.features
     size = ti.static(features.dimension)
     contact, width = contact_at(block, 0, arrays), arrays.settings[scene, Setting.CONTACT_WIDTH]
-    free, d = arrays.state[contact + Contact.FREE] - path, arrays.state[contact + Contact.DISTANCE]
-    bound = d - path
+    before, d = arrays.state[contact + Contact.FREE], arrays.state[contact + Contact.DISTANCE]
+    # Less than zero of those at an edge, which `find_contact` follows.
+    free, bound = ti.select(before < 0.0, minimum(before + path, 0.0), before - path), d - path
     if ti.static(features.terrain):
         bed = 1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE
         on_bed = arrays.state[contact + Contact.FACE] >= bed
@@ -194,6 +202,20 @@ def turn_traction(block, arrays: ti.template()):
 
 
 @ti.func
+def follow_edge(block, lane, scene, arrays: ti.template()):
+    """Contact of the particle in `lane` of a block that is still nearest to the same edge."""
+    lanes, contact = arrays.features.lanes, contact_at(block, 0, arrays) * arrays.features.lanes + lane
+    x = lane_numbers(arrays.lanes, block * arrays.features.state.size * lanes + lane, arrays)
+    a, b, c = corners_of(face_number(arrays.lanes[contact + Contact.FACE * lanes]), arrays)
+    _weights, _part, from_foot = foot_on_face(x, a, b, c, arrays)
+    d = from_foot.norm()
+    delta = contact_delta(d, arrays.settings[scene, Setting.CONTACT_WIDTH])
+    arrays.lanes[contact + Contact.DELTA * lanes] = delta
+    arrays.lanes[contact + Contact.DISTANCE * lanes] = d
+    put_lane_numbers(arrays.lanes, contact + Contact.NORMAL * lanes, from_foot / d, arrays)
+
+
+@ti.func
 def contact_delta(d, width):
     """delta_h [1/m] of the distance `d` [m], not negative."""
     q = minimum(d / width, 1.0)
@@ -233,8 +255,8 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     if listed > 0:
         last = face_number(arrays.lanes[contact + Contact.FACE * lanes])
         face, feature, weights, normal, d, bound = nearest_face(x, last, entry, scene, arrays)
-        if feature == 0 and d > 0.0 and d < arrays.settings[scene, Setting.SEARCH_DISTANCE]:
-            free = free_path(x, face, weights, normal, d, entry, cell, scene, arrays)
+        if d > 0.0 and d < arrays.settings[scene, Setting.SEARCH_DISTANCE]:
+            free = free_path(x, face, feature, weights, normal, d, entry, cell, scene, arrays)
         friction = weights.dot(frictions_of(face, arrays))
         if d < 0.0:
             x = x - d * normal
