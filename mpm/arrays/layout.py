@@ -180,6 +180,7 @@ class Span(IntEnum):
     CELL_LOW, CELL_HIGH = auto(), auto()  # the cells above it that hold particles, while columns are made
     ACTIVE = auto()  # line n: the n-th column in use
     OCCUPIED = auto()  # line n: the n-th column of cells that holds particles
+    HELD = auto()  # 1 where listed faces hold a node of a column
     ALONE = CELL_LOW  # once columns are made, beside water: 1 where no other worker of a shared scene has the column
 
 

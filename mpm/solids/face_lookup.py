@@ -97,6 +97,16 @@ def list_of(entry, arrays: ti.template()):
 
 
 @ti.func
+def holds_of_node(entry, arrays: ti.template()):
+    """From which of `holds` to before which those of a node are, by its entry."""
+    first, end = 0, 0
+    if ti.static(arrays.features.listed):
+        if entry >= 0:
+            first, end = arrays.node_holds[entry], arrays.node_holds[entry + 1]
+    return first, end
+
+
+@ti.func
 def unlisted_distance(x, entry, scene, arrays: ti.template()):
     """A lower bound of the distance of `x` [m] from the faces that are not listed for its cell [m]."""
     cell = arrays.settings[scene, Setting.CELL]
