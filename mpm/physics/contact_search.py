@@ -78,8 +78,10 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
                 for lane in range(lanes):
                     bound = arrays.scratch_lanes[(scratch + features.scratch.push) * lanes + lane]
                     if bound < nearby:
-                        at_edge = arrays.lanes[contact_at(block, Contact.FREE, arrays) * lanes + lane] < 0.0
-                        if at_edge and bound > 0.0:
+                        free = arrays.lanes[contact_at(block, Contact.FREE, arrays) * lanes + lane]
+                        if free > 0.0:
+                            stop_at_face(block, scratch, lane, worker, scene, arrays)
+                        elif free < 0.0 and bound > 0.0:
                             follow_edge(block, lane, scene, arrays)
                         else:
                             find_contact(block, scratch, lane, bound, worker, scene, arrays)
@@ -94,8 +96,9 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
     """Contact of the particles of a block that are still nearest to the inside of the same face, or to none `nearby`.
 
     moved: their displacement [m], D vectors; path: no less than its length [m]. Leaves in `scratch` the lower bound of
-    the distance of each particle whose face has to be searched, and `nearby` of the others; returns whether there are
-    any to search. Particles on a bed have in place of a face what is known of the distance of the listed ones.
+    the distance of each particle that is not done with, and `nearby` of the others; returns whether there are any of
+    the former: the face of most has to be searched, those with `Contact.FREE` above zero have gone into theirs by a
+    negative distance. Particles on a bed have in place of a face what is known of the distance of the listed ones.
     """
     features = arrays.features
     size = ti.static(features.dimension)
@@ -110,14 +113,14 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
         free = ti.select(on_bed, 0.0, free)
     for k in ti.static(range(size)):
         d = d + moved[k] * arrays.state[contact + Contact.NORMAL + k]
-    # As long as the face is the nearest, a way on its outer side meets none.
-    follows = (free > 0.0) & (d > 0.0)
+    # As long as the face is the nearest, a way on its outer side meets none, and one into it no other.
+    follows = free > 0.0
     d = ti.select(follows, d, bound)
     arrays.state[contact + Contact.DISTANCE] = d
-    arrays.state[contact + Contact.DELTA] = ti.select(follows, contact_delta(d, width), 0.0)
+    arrays.state[contact + Contact.DELTA] = ti.select(follows, contact_delta(maximum(d, 0.0), width), 0.0)
     # Beyond the search the distance becomes a bound, from which no face can be followed.
     arrays.state[contact + Contact.FREE] = ti.select(d < nearby, free, 0.0)
-    bound = ti.select(follows, nearby, bound)
+    bound = ti.select(follows & (d >= 0.0), nearby, bound)
     arrays.scratch[scratch + features.scratch.push] = bound
     return over_lanes(minimum, bound, arrays.features.lanes) < nearby
 
@@ -202,6 +205,24 @@ def turn_traction(block, arrays: ti.template()):
 
 
 @ti.func
+def stop_at_face(block, scratch, lane, worker, scene, arrays: ti.template()):
+    """Put the particle in `lane` of a block out of the face that it has gone into and meets alone, and stop it there."""
+    features, lanes = arrays.features, arrays.features.lanes
+    first, contact = block * features.state.size * lanes + lane, contact_at(block, 0, arrays) * lanes + lane
+    normal = lane_numbers(arrays.lanes, contact + Contact.NORMAL * lanes, arrays)
+    x = lane_numbers(arrays.lanes, first, arrays) - arrays.lanes[contact + Contact.DISTANCE * lanes] * normal
+    put_lane_numbers(arrays.lanes, first, x, arrays)
+    arrays.lanes[contact + Contact.DISTANCE * lanes] = 0.0
+    velocity = lane_numbers(arrays.lanes, first + features.state.velocity * lanes, arrays)
+    if velocity.dot(normal) < 0.0:
+        v = after_contact(velocity, normal, arrays.lanes[contact + Contact.FRICTION * lanes])
+        put_lane_numbers(arrays.lanes, first + features.state.velocity * lanes, v, arrays)
+        mass = arrays.scratch_lanes[(scratch + features.scratch.push + 1) * lanes + lane]
+        solid = solid_of(face_number(arrays.lanes[contact + Contact.FACE * lanes]), scene, arrays)
+        add_impulse(solid, mass * (velocity - v), lane, worker, arrays)
+
+
+@ti.func
 def follow_edge(block, lane, scene, arrays: ti.template()):
     """Contact of the particle in `lane` of a block that is still nearest to the same edge."""
     lanes, contact = arrays.features.lanes, contact_at(block, 0, arrays) * arrays.features.lanes + lane
@@ -255,15 +276,15 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     if listed > 0:
         last = face_number(arrays.lanes[contact + Contact.FACE * lanes])
         face, feature, weights, normal, d, bound = nearest_face(x, last, entry, scene, arrays)
-        if d > 0.0 and d < arrays.settings[scene, Setting.SEARCH_DISTANCE]:
-            free = free_path(x, face, feature, weights, normal, d, entry, cell, scene, arrays)
-        friction = weights.dot(frictions_of(face, arrays))
+        friction, outside = weights.dot(frictions_of(face, arrays)), d > 0.0
         if d < 0.0:
             x = x - d * normal
             d, moved = 0.0 * d, True
             if v.dot(normal) < 0.0:
                 v = after_contact(v, normal, friction)
                 solid = solid_of(face, scene, arrays)
+        if d < arrays.settings[scene, Setting.SEARCH_DISTANCE] and (outside or feature == 0):
+            free = free_path(x, face, feature, weights, normal, d, entry, cell, scene, arrays)
         distance = ti.min(d, bound)
         delta = contact_delta(d, arrays.settings[scene, Setting.CONTACT_WIDTH])
         arrays.lanes[contact + Contact.FRICTION * lanes] = friction
