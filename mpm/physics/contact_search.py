@@ -105,7 +105,7 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
     contact, width = contact_at(block, 0, arrays), arrays.settings[scene, Setting.CONTACT_WIDTH]
     before, d = arrays.state[contact + Contact.FREE], arrays.state[contact + Contact.DISTANCE]
     # Less than zero of those at an edge, which `find_contact` follows.
-    free, bound = ti.select(before < 0.0, minimum(before + path, 0.0), before - path), d - path
+    free, bound = ti.select(before < 0.0, minimum(before + path, 0.0), maximum(before - path, 0.0)), d - path
     if ti.static(features.terrain):
         bed = 1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE
         on_bed = arrays.state[contact + Contact.FACE] >= bed
