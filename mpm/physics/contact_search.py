@@ -53,6 +53,8 @@ FAR = 1.0e30
 """Distance [m] of what is not there."""
 MAX_CROSSINGS = 3
 """Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
+LONGER = 0.25
+"""Cells beyond the distance that is searched up to which a face is followed: particles that hover there need none."""
 
 
 @ti.func
@@ -69,7 +71,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     path = 1.001 * ti.sqrt(dot(moved, moved))
     lower_bound = arrays.state[distance] - path
     nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
-    if over_lanes(minimum, lower_bound, arrays.features.lanes) >= nearby:
+    if over_lanes(minimum, lower_bound, arrays.features.lanes) >= followed_distance(scene, arrays):
         arrays.state[distance] = lower_bound
     else:
         arrays.scratch[scratch + features.scratch.push + 1] = mass * present(block, arrays)
@@ -89,6 +91,13 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
             if arrays.offsets[scene, Offset.TERRAIN] > 0:
                 find_bed(block, scratch, nearby, worker, scene, arrays)
         turn_traction(block, arrays)
+
+
+@ti.func
+def followed_distance(scene, arrays: ti.template()):
+    """Distance from solids from which on faces are not followed [m]."""
+    longer = ti.static(LONGER * arrays.features.listed)
+    return arrays.settings[scene, Setting.SEARCH_DISTANCE] + longer * arrays.settings[scene, Setting.CELL]
 
 
 @ti.func
@@ -118,8 +127,8 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
     d = ti.select(follows, d, bound)
     arrays.state[contact + Contact.DISTANCE] = d
     arrays.state[contact + Contact.DELTA] = ti.select(follows, contact_delta(maximum(d, 0.0), width), 0.0)
-    # Beyond the search the distance becomes a bound, from which no face can be followed.
-    arrays.state[contact + Contact.FREE] = ti.select(d < nearby, free, 0.0)
+    # Beyond that the distance becomes a bound, from which no face can be followed.
+    arrays.state[contact + Contact.FREE] = ti.select(d < followed_distance(scene, arrays), free, 0.0)
     bound = ti.select(follows & (d >= 0.0), nearby, bound)
     arrays.scratch[scratch + features.scratch.push] = bound
     return over_lanes(minimum, bound, arrays.features.lanes) < nearby
@@ -283,7 +292,7 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
             if v.dot(normal) < 0.0:
                 v = after_contact(v, normal, friction)
                 solid = solid_of(face, scene, arrays)
-        if d < arrays.settings[scene, Setting.SEARCH_DISTANCE] and (outside or feature == 0):
+        if d < followed_distance(scene, arrays) and (outside or feature == 0):
             free = free_path(x, face, feature, weights, normal, d, entry, cell, scene, arrays)
         distance = ti.min(d, bound)
         delta = contact_delta(d, arrays.settings[scene, Setting.CONTACT_WIDTH])
