@@ -26,7 +26,7 @@ def wall_reverse(adj, v_star, node, cells, scene, arrays: ti.template()):
         if side >= 0:
             friction, normal = friction_of(side, scene, arrays), ti.abs(v_star[axis])
             # What this wall rubs on; no impulse of walls is recorded here.
-            along = apply_walls(v_star, node, cells, axis, 0.0, 1.0, 0, scene, arrays)
+            along = apply_walls(v_star, node, cells, axis, 0.0, 0, scene, arrays)
             adj, adj_limit = with_friction_reverse(adj, along, friction * normal)
             into[axis] = friction * adj_limit * (v_star[axis] / normal)
             if side == 2:

@@ -78,7 +78,7 @@ def node_reverse(node, adj, index: ti.template(), worker, scene, dt, kappa, arra
         adj_new = apply_barriers(adj_new, indices, scene, dt, arrays)
     adj_mass, adj_side = zero, zero
     if ti.static(features.contact or features.channel):
-        stopped = apply_walls(v_star, indices, cells, dimension, node[dimension], 1.0, worker, scene, arrays)
+        stopped = apply_walls(v_star, indices, cells, dimension, node[dimension], worker, scene, arrays)
         if ti.static(features.channel):
             braked = stopped
             if ti.static(features.contact):

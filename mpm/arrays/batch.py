@@ -244,13 +244,12 @@ class Batch:
             # Imported here: most runs begin without stress and need no sparse solver.
             from mpm.initial.stress import initial_tractions
 
-            water, seepage = initial_water(scene, particles) if features.pores else (None, None)
-            if water is not None and seepage is not None:
-                put(features.state.pore_pressure, water[:, : 1 + features.wet])
-                if features.seeps:
-                    put(features.state.seepage, seepage)
+            water = initial_water(scene, particles) if features.pores else None
+            if water is not None:
+                put(features.state.pore_pressure, water[0][:, : 1 + features.wet])
+                put(*((features.state.seepage, -water[1]) if features.seeps else (features.state.pressure_slope, water[1])))
             rounded = particles.positions.astype(state.dtype)
-            stress, shear = initial_tractions(scene, particles, rounded, water, seepage if features.seeps else None)
+            stress, shear = initial_tractions(scene, particles, rounded, water)
             put(features.state.stress, stress)
             if features.contact:
                 put(features.state.contacts + Contact.NORMAL + features.dimension, shear)

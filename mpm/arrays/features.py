@@ -103,8 +103,6 @@ class Features:
     """Water fills the pores of a material (`mpm.physics.water`)."""
     seeps: bool = False
     """Water exerts a given force on each particle (`mpm.initial.water`)."""
-    wet_walls: bool = False
-    """Walls of the box rub on it."""
     barriers: bool = False
     """Masses stand behind barriers until their release."""
     gates: bool = False
@@ -186,7 +184,7 @@ class Features:
             pore_pressure=int(self.pores),  # [Pa]
             saturated=int(self.wet),  # 1 where water fills the pores, else 0
             volume_strain=int(self.wet),  # of a step [-]
-            foot_pressure=int(self.wet and self.contact),  # of the water at the foot over that of the particle [Pa]
+            pressure_slope=size * int(self.wet),  # of the pressure in space [Pa/m]
         )
 
     @cached_property
@@ -205,11 +203,9 @@ class Features:
         """Numbers of a node, of which there are NODE; the others stay zero."""
         size, braked = self.dimension, int(self.channel)
         # The change of a node's velocity stands in place of its force, which is done with.
-        # Last the sums of w m d / h and of w m times the share of grains (`mpm.physics.contact`).
-        dragged, shared = int(self.turbulent), int(self.wet_walls)
-        return Addresses(
-            momentum=size, mass=1, change=0, force=size, side_friction=braked, distance=dragged, grains=shared
-        )
+        # Last the sum of w m d / h (`mpm.physics.contact`).
+        dragged = int(self.turbulent)
+        return Addresses(momentum=size, mass=1, change=0, force=size, side_friction=braked, distance=dragged)
 
     @property
     def not_given(self) -> list[int]:
@@ -254,10 +250,6 @@ def features_of(
     pool = any(scene.water is not None and scene.water.pool is not None for scene in scenes)
     require(seeps or not pool, "water.pool", "none of a flow: --safety alone knows water above the ground", "one")
     require(not (wet and gpu), "material.saturated", "false on a GPU, which knows no pore water yet", "true")
-    rubs = wet and any(scene.floor_friction or scene.wall_friction for scene in scenes)
-    turbulent = any(any(drags_of(scene)) for scene in scenes)
-    room = scenes[0].dimension == 2 or not (rubs and turbulent)
-    require(room, "wall_friction", "0, as floor_friction, in 3D beside saturated material and turbulence", "friction")
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
@@ -269,13 +261,12 @@ def features_of(
         contact=any(scene.baffles or scene.solids for scene in scenes),
         listed=any(has_faces(scene) for scene in scenes),
         terrain=any(has_field(scene) for scene in scenes),
-        turbulent=turbulent,
+        turbulent=any(any(drags_of(scene)) for scene in scenes),
         channel=any(scene.channel is not None for scene in scenes),
         outflow=any(scene.open_sides for scene in scenes) or inflow,
         inflow=inflow,
         wet=wet,
         seeps=seeps,
-        wet_walls=rubs,
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
         gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),
         recorded=Recorded(strain=record.fields, walls=record.wall_forces, until_rest=record.until_rest),

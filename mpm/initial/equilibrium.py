@@ -13,11 +13,12 @@ from datasets.geometry.bodies import scene_height
 from datasets.scene import DOMAIN_SIDES, Scene, coefficient
 from datasets.scene.particles import Particles
 from mpm.arrays.layout import PADDING, Property
-from mpm.arrays.properties import properties_of
+from mpm.arrays.properties import CONTACT_WIDTH, properties_of
 from mpm.initial.barriers import barriers
 from mpm.initial.grid_operators import ContactOperator, clings, gradient_matrices
 from mpm.laws import law_of
-from mpm.solids.obstacles import covered_at
+from mpm.physics.pore_pressure import COVERED
+from mpm.solids.obstacles import contact_delta, covered_at
 
 Floats = NDArray[np.float64]
 
@@ -84,16 +85,30 @@ class Equilibrium:
         self.level = [axis for axis in range(self.dimension) if axis != 1]
         self.slip, self.slid = np.zeros((2, *self.nodes.shape))
 
-    def carry(self, pressure: Floats, seepage: Floats | None = None) -> None:
-        """Let water with the pore `pressure` [Pa], shape [N], bear its part: stresses are then those of the grains.
-
-        seepage: the force per volume [N/m^3], [N, D], that it is known to exert instead.
+    def carry(self, scene: Scene, positions: Floats, pressure: Floats, slope: Floats) -> None:
+        """Let water with the pore `pressure` [Pa], shape [N], and its `slope` in space [Pa/m], [N, D], bear its part at
+        the `positions` [m], [N, D]: stresses are then those of the grains. `Water.fixed` exerts that slope alone.
         """
-        if seepage is not None:
-            self.gravity = self.gravity + self.weights.T @ (self.volume[:, None] * seepage)
+        if scene.water is not None and scene.water.fixed:
+            self.gravity = self.gravity - self.weights.T @ (self.volume[:, None] * slope)
             return
-        push = self.contact.force(-pressure[self.contact.touching], self.contact.traction)
+        touching = self.contact.touching
+        foot = pressure[touching] - self.contact.distance * (slope[touching] * self.contact.normal).sum(axis=1)
+        push = self.contact.force(-np.maximum(foot, 0.0), self.contact.traction)
         self.gravity = self.gravity + push + self.divergence(pressure[:, None, None] * np.eye(3))
+        count, cell = len(pressure), scene.domain.cell
+        for axis, length in enumerate(scene.domain.size):
+            for side in (0, 1):
+                if DOMAIN_SIDES[2 * axis + side] in scene.open_sides:
+                    continue
+                inwards = 1.0 - 2.0 * side
+                away = np.maximum(length - positions[:, axis] if side else positions[:, axis], 0.0)
+                uncovered = np.ones(count, bool)
+                uncovered[touching[inwards * self.contact.normal[:, axis] > COVERED]] = False
+                foot = np.maximum(pressure - inwards * away * slope[:, axis], 0.0) * (uncovered & (pressure > 0.0))
+                force = inwards * self.volume * contact_delta(away, CONTACT_WIDTH * cell) * foot
+                levers = self.slopes[axis * count : (axis + 1) * count]
+                self.gravity[:, axis] += self.weights.T @ force - levers.T @ (inwards * away * force)
 
     def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
         """Find which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -,
@@ -160,8 +175,12 @@ class Equilibrium:
     def settled(self, stress: Floats, traction: Floats) -> Floats:
         """`stress` [Pa], [N, 3, 3], of layers on a slope, after its grains have taken what it leaves unbalanced.
 
-        traction: shear traction of the ground [Pa], [M, D]. What accelerates the layers as a whole stays.
+        traction: shear traction of the ground [Pa], [M, D]. What accelerates the layers as a whole stays. The floor of
+        the box rubs on its nodes with the share of their load that `stress` has there.
         """
+        floor, across = self.walls[:, 1] == 1, self.weights.T @ (self.volume[:, None] * stress[:, :, 1])
+        share = np.divide(across, -across[:, [1]], out=np.zeros_like(across), where=across[:, [1]] < 0.0)
+        self.friction, self.slip[:, self.level] = 1.0, np.where(floor[:, None], share[:, self.level], 0.0)
         self.inertia = self.loose_inertia / INERTIA
         # That inertia leaves little for a factorisation to do, whose memory a wide layer could not pay.
         self.direct = self.direct[:0]

@@ -66,7 +66,8 @@ class ContactOperator:
         rough = np.array([clings(mass) for mass in scene.masses])[particles.mass[chosen]]
         self.friction = np.where(rough[self.touching], here[:, Contact.FRICTION], 0.0)
         self.share = particles.volume[chosen][self.touching] * self.delta
-        lever = here[:, Contact.DISTANCE, None] * self.normal
+        self.distance = here[:, Contact.DISTANCE]
+        lever = self.distance[:, None] * self.normal
         foot = weights.tocsr()[self.touching]
         for axis in range(dimension):
             rows = slopes[axis * count : (axis + 1) * count].tocsr()[self.touching]

@@ -53,33 +53,32 @@ def initial_tractions(
     scene: Scene,
     particles: Particles,
     positions: Floats | None = None,
-    water: Floats | None = None,
-    seepage: Floats | None = None,
+    water: tuple[Floats, Floats] | None = None,
 ) -> tuple[Floats, Floats]:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
     the shear traction of the solid that it touches [Pa], shape [N, D]. In masses without `k0` that of
     `mpm.initial.slope`, or zero. `positions` [m],
     shape [N, D]: those of the particles as the solver rounds them, where that matters. Warns in one line where no
     equilibrium within the yield surface was found. water: what `mpm.initial.water` gives, where
-    there is any; the stress is that of the grains alone. seepage: force of water per volume [N/m^3], shape [N, D],
-    in place of its pressure.
+    there is any; the stress is that of the grains alone.
     """
     dimension = scene.dimension
     rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
-    stress, shear = slope_stress(scene, particles, rounded, None if water is None else water[:, 2])
+    share = None if water is None else water[0][:, 2]
+    stress, shear = slope_stress(scene, particles, rounded, share)
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
     if water is not None and not chosen.all() and scene.gravity > 0.0:
         # Else water would take what is unbalanced on the grid: it is the stiffer.
         numbers = np.flatnonzero(~chosen)
         problem = Equilibrium(scene, particles, rounded, numbers)
-        problem.carry(water[numbers, 0], None if seepage is None else seepage[numbers])
+        problem.carry(scene, rounded[numbers], water[0][numbers, 0], water[1][numbers])
         stress[numbers] = problem.settled(stress[numbers], shear[numbers[problem.contact.touching]])
     if chosen.any() and scene.gravity > 0.0:
         guess, numbers = geostatic(scene, particles, rounded), np.flatnonzero(chosen)
         problem = Equilibrium(scene, particles, rounded, numbers)
-        if water is not None:
-            problem.carry(water[chosen, 0], None if seepage is None else seepage[chosen])
-            guess = guess * water[:, 2, None, None]
+        if water is not None and share is not None:
+            problem.carry(scene, rounded[numbers], water[0][numbers, 0], water[1][numbers])
+            guess = guess * share[:, None, None]
         stress[chosen] = guess[chosen]
         boxes = [mass.k0 is not None and not clings(mass) for mass in scene.masses]
         alone = all(box or mass.k0 is None for box, mass in zip(boxes, scene.masses, strict=True))

@@ -37,13 +37,13 @@ Floats = NDArray[np.float64]
 
 def initial_water(scene: Scene, particles: Particles) -> tuple[Floats, Floats]:
     """p [Pa] of each particle, 1 where water fills its pores and else 0, and the share of the normal stress that grains
-    bear [-], shape [N, 3]; and -grad p [N/m^3], shape [N, D]. Raises InputError for a saturated mass that begins
-    without a stress.
+    bear [-], shape [N, 3]; and grad p [Pa/m], shape [N, D]. Raises InputError for a saturated mass that begins without
+    a stress.
     """
     positions, cell = particles.positions, scene.domain.cell
     pressure, wet, share = np.zeros((3, len(positions)))
     share += 1.0
-    force = np.zeros(positions.shape)
+    slopes = np.zeros(positions.shape)
     for number, (key, mass) in enumerate(keyed(scene, "masses").items()):
         if not scene.material_of(mass).saturated:
             continue
@@ -54,14 +54,13 @@ def initial_water(scene: Scene, particles: Particles) -> tuple[Floats, Floats]:
         whole, head = np.nan_to_num(stresses(scene, mass, positions[of_mass]))
         full = positions[of_mass, 1] < table(scene, mass, positions[of_mass][:, plan_axes(scene.dimension)])
         pore_pressure = np.where(full, np.maximum(head, 0.0), 0.0)
-        if (scene.water or Water()).fixed:
-            _, slope = gradient(partial(stresses, scene, mass), positions[of_mass], 0.5 * cell)
-            force[of_mass] = np.where(pore_pressure[:, None] > 0.0, -slope, 0.0)
-        else:
+        _, slope = gradient(partial(stresses, scene, mass), positions[of_mass], 0.5 * cell)
+        slopes[of_mass] = np.where(pore_pressure[:, None] > 0.0, slope, 0.0)
+        if not (scene.water or Water()).fixed:
             pore_pressure = np.minimum(pore_pressure, whole)
         wet[of_mass], pressure[of_mass] = full, pore_pressure
         share[of_mass] -= np.divide(pore_pressure, whole, out=np.zeros_like(whole), where=whole > 0.0)
-    return np.stack([pressure, wet, share], axis=1), force
+    return np.stack([pressure, wet, share], axis=1), slopes
 
 
 def stresses(scene: Scene, mass: Mass, positions: Floats) -> Floats:

@@ -2,10 +2,10 @@
 
 A node on or beyond a wall that moves into it by v_n loses v_n, and of its tangential velocity at most mu v_n
 (Bardenhagen et al. 2000, eq. 18): an impulse balance, so no step size appears in it. On an edge all walls stop it
-before any rubs: what presses on one is no sliding along the other. Beside water grains alone rub, with their share of
-v_n, that of the normal stress around the node (`mpm.physics.contact.grain_share`). It is the contact of
-`mpm.physics.contact` where the surface lies on the nodes, at the price of a comparison. Where a solid covers a wall,
-under a terrain or behind a lining, there is no wall: its nodes are the solid's (`mpm.solids.obstacles`).
+before any rubs: what presses on one is no sliding along the other. Water presses on a wall by a traction of its own
+(`mpm.physics.pore_pressure`), so that v_n is what grains press. It is the contact of `mpm.physics.contact` where the
+surface lies on the nodes, at the price of a comparison. Where a solid covers a wall, under a terrain or behind a
+lining, there is no wall: its nodes are the solid's (`mpm.solids.obstacles`).
 """
 
 import taichi as ti
@@ -33,9 +33,9 @@ def after_contact(v, normal, friction):
 
 
 @ti.func
-def apply_walls(v, node, cells, axes: ti.template(), mass, share, worker, scene, arrays: ti.template()):
+def apply_walls(v, node, cells, axes: ti.template(), mass, worker, scene, arrays: ti.template()):
     """Velocity `v` [m/s] of the node `node` of `mass` [kg] once the walls of a box of `cells` have stopped it and those
-    across the first `axes` have rubbed on it; v, node, cells: [D]. share: of its pressure on them that grains bear.
+    across the first `axes` have rubbed on it; v, node, cells: [D].
     """
     features, along = arrays.features, v
     for axis in ti.static(range(features.dimension)):
@@ -45,7 +45,7 @@ def apply_walls(v, node, cells, axes: ti.template(), mass, share, worker, scene,
         side = stopping_side(v, node, cells, axis, scene, arrays)
         if side >= 0:
             taken = along
-            along = with_friction(along, friction_of(side, scene, arrays) * share * ti.abs(v[axis]))
+            along = with_friction(along, friction_of(side, scene, arrays) * ti.abs(v[axis]))
             if ti.static(features.recorded.walls):
                 taken = taken - along
                 taken[axis] = v[axis]

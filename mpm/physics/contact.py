@@ -57,10 +57,10 @@ v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares
 
 import taichi as ti
 
-from datasets.scene.water import CAVITATION
 from mpm.arrays.access import add, clamp, lane_numbers, maximum, minimum, no_overflow, over_lanes, present, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
+from mpm.physics.pore_pressure import total_stress
 from mpm.solids.face_lookup import TINY, entry_of, face_number, holds_of_node, normal_of, solid_of
 from mpm.solids.terrain import bed_hold
 
@@ -68,8 +68,6 @@ NO_FACE = -2.0 * FIRST_FACE
 """Less than the number of any face among reals."""
 SHEET = 0.55
 """What a thin sheet gives to itself over the grid, per cell of thickness [-]."""
-STRONGEST = 10.0
-"""Most that suction lets grains press on a wall, over what they and water do together [-]."""
 THINNEST = 0.1
 """Thickness [widths of contact] of the thinnest layer that feels the whole drag."""
 
@@ -245,69 +243,24 @@ def turbulence_at(scratch, density, arrays: ti.template()):
 
 @ti.func
 def motion_and_stress(block, scratch, arrays: ti.template()):
-    """The motion of a block, as `foot_velocity` takes it, and the stress of its grains; lists of vectors.
-
-    Beside water that of the grains at the foot: the total stress of a particle less the pore pressure there.
-    """
+    """The motion of a block, as `foot_velocity` takes it, and the stress of its grains; lists of vectors."""
     features = arrays.features
     first, moved = block * features.state.size, scratch + features.scratch.lowest + features.dimension
     velocity = vectors(arrays.scratch, moved, features.dimension)
     affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
-    if ti.static(features.wet):
-        for k in ti.static(range(3)):
-            stress[k] = stress[k] + arrays.state[first + features.state.foot_pressure]
     return (velocity, affine, contact_of(block, arrays)), stress
-
-
-@ti.func
-def suction_held(stress: ti.template(), held: ti.template()):
-    """The largest suction of water [Pa] between grains with the `stress` [Pa]: what presses these, up to cavitation, so
-    that they pull nothing together; none where not `held`.
-    """
-    if ti.static(held):
-        return clamp((stress[0] + stress[1] + stress[2]) * (-1.0 / 3.0), 0.0, CAVITATION)
-    else:
-        return 0.0 * stress[0]
-
-
-@ti.func
-def total_stress(block, arrays: ti.template()):
-    """Stress [Pa] of the particles of a block, that of the grains less the pore pressure; a list of vectors."""
-    features = arrays.features
-    first = no_overflow(block * features.state.size)
-    stress = vectors(arrays.state, first + features.state.stress, features.stresses)
-    if ti.static(features.wet):
-        p = arrays.state[first + features.state.pore_pressure] + arrays.state[first + features.state.volume_strain]
-        p = maximum(p, 0.0 - suction_held(stress, features.dilates))
-        return [stress[k] - p if k < 3 else stress[k] for k in ti.static(range(features.stresses))]
-    else:
-        return stress
-
-
-@ti.func
-def grain_share(scene, block, arrays: ti.template()):
-    """Which share of the pressure of particles on the nearest wall of the box grains bear beside water [-]."""
-    features = arrays.features
-    first, dx = no_overflow(block * features.state.size), arrays.settings[scene, Setting.CELL]
-    whole = total_stress(block, arrays)
-    nearest = 0.0 * arrays.state[first] + 1.0e30
-    grains, total = nearest, nearest
-    for k in ti.static(range(features.dimension)):
-        x, length = arrays.state[first + k], arrays.offsets[scene, Offset.CELLS_X + k] * dx
-        away = minimum(x, length - x)
-        near = away < nearest
-        nearest = ti.select(near, away, nearest)
-        grains = ti.select(near, 0.0 - arrays.state[first + features.state.stress + k], grains)
-        total = ti.select(near, 0.0 - whole[k], total)
-    return clamp(grains / maximum(total, TINY), 0.0, STRONGEST)
 
 
 @ti.func
 def push(block, scratch, arrays: ti.template()):
     """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
     features = arrays.features
-    pushed = surface_force(total_stress(block, arrays), contact_of(block, arrays), features.dimension)
+    contact = contact_of(block, arrays)
+    foot = [
+        (0.0 - contact[Contact.DISTANCE]) * contact[Contact.NORMAL + k] for k in ti.static(range(features.dimension))
+    ]
+    pushed = surface_force(total_stress(block, foot, arrays), contact, features.dimension)
     for k in ti.static(range(2 * features.dimension)):
         arrays.scratch[scratch + features.scratch.push + k] = pushed[k]
 

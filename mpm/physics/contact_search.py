@@ -24,6 +24,7 @@ from mpm.arrays.access import (
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker
 from mpm.physics.boundary import add_impulse, after_contact
 from mpm.physics.contact import contact_at
+from mpm.physics.pore_pressure import contact_delta
 from mpm.solids.face_lookup import (
     TINY,
     cell_of,
@@ -243,13 +244,6 @@ def follow_edge(block, lane, scene, arrays: ti.template()):
     arrays.lanes[contact + Contact.DELTA * lanes] = delta
     arrays.lanes[contact + Contact.DISTANCE * lanes] = d
     put_lane_numbers(arrays.lanes, contact + Contact.NORMAL * lanes, from_foot / d, arrays)
-
-
-@ti.func
-def contact_delta(d, width):
-    """delta_h [1/m] of the distance `d` [m], not negative."""
-    q = minimum(d / width, 1.0)
-    return 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
 
 
 @ti.func

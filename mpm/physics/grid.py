@@ -189,10 +189,7 @@ def moved_node(node, indices, bed, held, worker, scene, dt, kappa, arrays: ti.te
         size, sign, _ = damping_terms(old, a, scene, arrays)
         a = a - arrays.settings[scene, Setting.DAMPING] * size * sign
     new = ti.Vector([old[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
-    share = 0.0 * mass + 1.0
-    if ti.static(features.wet_walls):
-        share = node[features.node.grains] / mass
-    new = apply_walls(new, indices, box_cells(scene, arrays), features.dimension, mass, share, worker, scene, arrays)
+    new = apply_walls(new, indices, box_cells(scene, arrays), features.dimension, mass, worker, scene, arrays)
     if ti.static(features.contact):
         if held:
             new = apply_solids(new, mass, indices, bed, worker, scene, True, arrays)

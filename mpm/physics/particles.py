@@ -13,12 +13,12 @@ from mpm.physics.contact import (
     motion_and_stress,
     record_traction,
     shear_traction_step,
-    total_stress,
     touches,
     with_jump,
 )
 from mpm.physics.contact_search import find_contacts
 from mpm.physics.inflow import let_in, waits
+from mpm.physics.pore_pressure import record_wall_pressure, total_stress
 from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
 from mpm.physics.volume_correction import grid_gap, is_loose, kept_gap, updated_gap
@@ -57,6 +57,8 @@ def update_block(worker, table, scene, block, scratch, dt, kappa, arrays: ti.tem
             record_traction(block, scratch, volume, dt, worker, arrays)
         for k in ti.static(range(features.dimension)):
             arrays.scratch[scratch + features.scratch.origin + k] = arrays.state[block * features.state.size + k]
+    if ti.static(features.wet and features.recorded.walls):
+        record_wall_pressure(block, volume, dt, scene, worker, arrays)
     grid_to_block(table, scene, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kappa, arrays)
     step_particles(scene, block, scratch, dt, kappa, arrays)
     update_stress(scene, block, scratch, near, dt, arrays)
@@ -195,7 +197,7 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     if ti.static(features.contact):
         if near:
             motion, _grains = motion_and_stress(block, scratch, arrays)
-            stress = total_stress(block, arrays)
+            stress = total_stress(block, [], arrays)
             jump = jump_at_contact(motion, stress, modulus, dt, features.dimension)
             if ti.static(features.wet):
                 # Water and grains remember what opens.

@@ -45,8 +45,9 @@ from mpm.arrays.nodes import (
 )
 from mpm.physics.channel import side_friction
 from mpm.physics.columns import node_at
-from mpm.physics.contact import distance_in_widths, grain_share, push, total_stress, touches
+from mpm.physics.contact import distance_in_widths, push, touches
 from mpm.physics.inflow import waits
+from mpm.physics.pore_pressure import from_wall, presses_on, total_stress, wall_pressure
 from mpm.physics.volume_correction import held_affine, is_loose, looseness
 
 
@@ -186,6 +187,16 @@ def prepare_contributions(scene, block, scratch, arrays: ti.template()):
                 for j in ti.static(range(features.dimension)):
                     slope = at + (1 + j) * NODE + i
                     arrays.scratch[slope] = arrays.scratch[slope] + forces[i * features.dimension + j]
+    if ti.static(features.wet):
+        for side in ti.static(range(2 * features.dimension)):
+            if presses_on(block, side, scene, arrays):
+                axis = ti.static(side // 2)
+                pressed = volume * wall_pressure(block, side, scene, arrays)
+                force = (-4.0 / dx) * from_wall(block, side, scene, arrays) * pressed
+                at = scratch + features.scratch.values + features.node.force + axis
+                pull = ti.static(1.0 - 2.0 * (side % 2)) * pressed - force * f[axis]
+                arrays.scratch[at] = arrays.scratch[at] + pull
+                arrays.scratch[at + (1 + axis) * NODE] = arrays.scratch[at + (1 + axis) * NODE] + force
 
 
 @ti.func
@@ -195,7 +206,7 @@ def leave_contributions(scene, block, scratch, mass, volume, f: ti.template(), d
     first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
     velocity = vectors(arrays.state, first + features.state.velocity, features.dimension)
     affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
-    stress = total_stress(block, arrays)
+    stress = total_stress(block, [], arrays)
     momentum, slopes, pull, forces = contributions((velocity, affine, stress), mass, volume, f, dx, features)
     if ti.static(features.seeps):
         for i in ti.static(range(features.dimension)):
@@ -217,8 +228,6 @@ def leave_contributions(scene, block, scratch, mass, volume, f: ti.template(), d
             arrays.scratch[values + k] = 0.0 * mass
     if ti.static(features.turbulent):
         arrays.scratch[values + features.node.distance] = mass * distance_in_widths(scene, block, arrays)
-    if ti.static(features.wet_walls):
-        arrays.scratch[values + features.node.grains] = mass * grain_share(scene, block, arrays)
 
 
 @ti.func

@@ -62,7 +62,8 @@ from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Contact, Offset, Pore, Property, Setting, Worker
 from mpm.arrays.nodes import turn
 from mpm.physics.columns import node_at
-from mpm.physics.contact import contact_at, suction_held
+from mpm.physics.contact import contact_at
+from mpm.physics.pore_pressure import suction_held
 from mpm.physics.transfer import lowest_column, particles_in, property_of, volume_of
 from mpm.physics.water_cells import solve_cells
 
@@ -189,14 +190,9 @@ def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
     strain = of_cell[Pore.STRAIN] - arrays.state[strained] - (mixed + removed) / modulus
     arrays.state[pressure] = ti.select(wet, p, before)
     arrays.state[strained] = ti.select(wet, DAMPING * of_cell[Pore.FELT], arrays.state[strained])
-    if ti.static(features.contact):
-        foot, none = p, 0.0 * p
-        away = arrays.state[contact_at(block, Contact.DISTANCE, arrays)] / arrays.settings[scene, Setting.CELL]
-        for k in ti.static(range(features.dimension)):
-            foot = foot - of_cell[Pore.SLOPE_X + k] * arrays.state[contact_at(block, Contact.NORMAL + k, arrays)] * away
-        near = wet & (arrays.state[contact_at(block, Contact.DELTA, arrays)] > 0.0)
-        higher = maximum(foot, least) - maximum(p, least)
-        arrays.state[first + features.state.foot_pressure] = ti.select(near, higher, none)
+    for k in ti.static(range(features.dimension)):
+        slope = of_cell[Pore.SLOPE_X + k] / arrays.settings[scene, Setting.CELL]
+        arrays.state[first + features.state.pressure_slope + k] = ti.select(wet, slope, 0.0 * p)
     share_strain(scene, block, ti.select(wet, strain, 0.0 * strain), arrays)
 
 

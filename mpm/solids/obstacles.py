@@ -337,6 +337,12 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
     return np.cumsum(listed).astype(np.int32), faces[kept].astype(np.int32)
 
 
+def contact_delta(distance: Floats, width: float) -> Floats:
+    """delta_h [1/m] of distances [m], as `mpm.physics.pore_pressure.contact_delta` has it."""
+    q = np.clip(distance / width, 0.0, 1.0)
+    return np.asarray(2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q)))
+
+
 def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Contact of particles at `positions` [m], shape [N, D], as the kernel finds it: what `Contact` lists, [N, ...]."""
     count, dimension = positions.shape
@@ -360,7 +366,6 @@ def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np
         nearer = d < distance
         distance, contacts[nearer, Contact.FACE] = np.minimum(d, distance), len(surface.corners)
         contacts[nearer, Contact.FRICTION], contacts[nearer, normals] = friction[nearer], normal[nearer]
-    q = np.clip(distance / width, 0.0, 1.0)
-    contacts[:, Contact.DELTA] = 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
+    contacts[:, Contact.DELTA] = contact_delta(distance, width)
     contacts[:, Contact.DISTANCE] = np.clip(distance, 0.0, cutoff)
     return contacts

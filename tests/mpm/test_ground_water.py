@@ -86,7 +86,7 @@ def test_a_pressure_ratio_is_one_of_the_weight_above() -> None:
 
 def test_water_at_rest_buoys_and_water_along_a_slope_drags() -> None:
     def force(of: Scene) -> Floats:
-        return initial_water(of, initial_particles(of))[1]
+        return -initial_water(of, initial_particles(of))[1]
 
     hill = Mass(kind="polygon", vertices=HILL, k0="elastic")
     buoyancy = [0.0, DENSITY * GRAVITY]
@@ -121,8 +121,7 @@ def test_grains_of_a_submerged_slope_bear_its_buoyant_weight() -> None:
     wet = with_water(BISHOP, 8, pool=1.2 * HEIGHT)
     exact, _ = initial_tractions(reduced(light, 1.0), initial_particles(reduced(light, 1.0)))
     particles = initial_particles(reduced(wet, 1.0))
-    water, seepage = initial_water(reduced(wet, 1.0), particles)
-    tractions, _ = initial_tractions(reduced(wet, 1.0), particles, None, water, seepage)
+    tractions, _ = initial_tractions(reduced(wet, 1.0), particles, None, initial_water(reduced(wet, 1.0), particles))
     assert tractions == pytest.approx(exact, abs=1.0e-3 * float(np.abs(exact).max()))
 
 
