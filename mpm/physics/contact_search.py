@@ -36,6 +36,7 @@ from mpm.solids.face_lookup import (
     frictions_of,
     list_of,
     nearest_face,
+    normal_of,
     solid_of,
     unlisted_distance,
 )
@@ -219,17 +220,19 @@ def stop_at_face(block, scratch, lane, worker, scene, arrays: ti.template()):
     """Put the particle in `lane` of a block out of the face that it has gone into and meets alone, and stop it there."""
     features, lanes = arrays.features, arrays.features.lanes
     first, contact = block * features.state.size * lanes + lane, contact_at(block, 0, arrays) * lanes + lane
-    normal = lane_numbers(arrays.lanes, contact + Contact.NORMAL * lanes, arrays)
-    x = lane_numbers(arrays.lanes, first, arrays) - arrays.lanes[contact + Contact.DISTANCE * lanes] * normal
-    put_lane_numbers(arrays.lanes, first, x, arrays)
-    arrays.lanes[contact + Contact.DISTANCE * lanes] = 0.0
+    face, x = face_number(arrays.lanes[contact + Contact.FACE * lanes]), lane_numbers(arrays.lanes, first, arrays)
+    corner, _, _ = corners_of(face, arrays)
+    normal = normal_of(face, arrays)
+    # Anew: that of a face that is followed sums up the rounding of its steps.
+    d = (x - corner).dot(normal)
+    put_lane_numbers(arrays.lanes, first, x - ti.min(d, 0.0 * d) * normal, arrays)
+    arrays.lanes[contact + Contact.DISTANCE * lanes] = ti.max(d, 0.0 * d)
     velocity = lane_numbers(arrays.lanes, first + features.state.velocity * lanes, arrays)
     if velocity.dot(normal) < 0.0:
         v = after_contact(velocity, normal, arrays.lanes[contact + Contact.FRICTION * lanes])
         put_lane_numbers(arrays.lanes, first + features.state.velocity * lanes, v, arrays)
         mass = arrays.scratch_lanes[(scratch + features.scratch.push + 1) * lanes + lane]
-        solid = solid_of(face_number(arrays.lanes[contact + Contact.FACE * lanes]), scene, arrays)
-        add_impulse(solid, mass * (velocity - v), lane, worker, arrays)
+        add_impulse(solid_of(face, scene, arrays), mass * (velocity - v), lane, worker, arrays)
 
 
 @ti.func
