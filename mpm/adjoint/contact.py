@@ -24,7 +24,6 @@ from mpm.physics.contact import (
     contact_of,
     drag_share,
     find_drags,
-    holds_of_node,
     jump_at_contact,
     removed_by,
     removed_by_bed,
@@ -34,7 +33,7 @@ from mpm.physics.contact import (
     turbulence_at,
 )
 from mpm.physics.transfer import property_of
-from mpm.solids.face_lookup import entry_of, face_number, normal_of, solid_of
+from mpm.solids.face_lookup import entry_of, face_number, holds_of_node, normal_of, solid_of
 from mpm.solids.terrain import bed_under
 
 

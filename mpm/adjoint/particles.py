@@ -21,7 +21,14 @@ from mpm.arrays.layout import Contact, Offset, Property, Setting, Worker
 from mpm.physics.boundary import is_wall
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import touches
-from mpm.physics.transfer import contributions, prepare_contributions, property_of, volume_of, weights_of
+from mpm.physics.transfer import (
+    contributions,
+    contributions_of_contact,
+    prepare_contributions,
+    property_of,
+    volume_of,
+    weights_of,
+)
 
 
 @ti.func
@@ -127,7 +134,10 @@ def update_block_reverse(block: ti.template(), arrays: ti.template()):
 def given_of(carried, volume, density, pushed, grip, distances, dx, width, features):
     """What a particle gives to a node at its own place, number by number, then the slopes of it per cell; traced."""
     mass, here = volume * density, [0.0] * features.dimension
-    momentum, slopes, pull, forces = contributions(carried, mass, volume, pushed, here, dx, features)
+    momentum, slopes, pull, forces = contributions(carried, mass, volume, here, dx, features)
+    if pushed:
+        both = contributions_of_contact(pushed, volume, here, dx, features.dimension)
+        pull, forces = ([a + b for a, b in zip(*pair, strict=True)] for pair in zip((pull, forces), both, strict=True))
     braked = [side_friction(carried[2], volume, grip)] if features.channel else []
     weighed = [mass * minimum(distance / width, 1.0) for distance in distances]
     return momentum, mass, pull, braked, weighed, slopes, forces

@@ -115,7 +115,9 @@ class Contact(IntEnum):
     DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
     FRICTION = auto()  # its Coulomb coefficient at the foot [-]
     FACE = auto()  # the number of that face, less FIRST_FACE
-    FREE = auto()  # how far a particle may move before another face or an edge, on terrain any face, may be near [m]
+    # How far a particle may move before another face or an edge, on terrain any face, may be near [m]; less than zero at
+    # an edge, before another part of the faces may be.
+    FREE = auto()
     NORMAL = auto()  # D vectors: n, out of the solid [-]; behind them D of the shear traction [Pa]
 
 
@@ -178,6 +180,7 @@ class Span(IntEnum):
     CELL_LOW, CELL_HIGH = auto(), auto()  # the cells above it that hold particles, while columns are made
     ACTIVE = auto()  # line n: the n-th column in use
     OCCUPIED = auto()  # line n: the n-th column of cells that holds particles
+    HELD = auto()  # 1 where listed faces hold a node of a column
     ALONE = CELL_LOW  # once columns are made, beside water: 1 where no other worker of a shared scene has the column
 
 

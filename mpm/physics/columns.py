@@ -14,6 +14,7 @@ import taichi as ti
 
 from mpm.arrays.access import clamp, columns_deep, no_overflow
 from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset, Setting, Span, Worker
+from mpm.solids.face_lookup import entry_of, holds_of_node
 
 MARGIN = 0.49
 """Cells that particles may move before columns are made anew: half a cell, less the rounding of a position in f32."""
@@ -50,7 +51,10 @@ def make_columns(worker, scene, arrays: ti.template()):
         lowest, highest = ti.min(lowest, column - first), ti.max(highest, column - first)
         low = arrays.spans[column, Span.LOW]
         arrays.bases[column] = arrays.workers[worker, Worker.NODE] + used - low
-        used += arrays.spans[column, Span.HIGH] - low
+        high = arrays.spans[column, Span.HIGH]
+        used += high - low
+        if ti.static(arrays.features.listed):
+            arrays.spans[column, Span.HELD] = has_holds(column - first, low, high, scene, arrays)
     arrays.workers[worker, Worker.ACTIVE], arrays.workers[worker, Worker.USED] = active, used
     arrays.workers[worker, Worker.LOWEST], arrays.workers[worker, Worker.HIGHEST] = lowest, highest
 
@@ -85,6 +89,19 @@ def find_cells(worker, scene, first, deep, arrays: ti.template()):
             elif j >= arrays.spans[cell, Span.CELL_HIGH]:
                 arrays.spans[cell, Span.CELL_HIGH] = j + 1
     return occupied
+
+
+@ti.func
+def has_holds(column, low, high, scene, arrays: ti.template()):
+    """1 where listed faces hold one of the nodes [low, high) of a column of the box, else 0."""
+    result, deep = 0, columns_deep(scene, arrays)
+    places = [column // deep, low, column % deep]
+    for j in range(low, high):
+        places[1] = j
+        first, end = holds_of_node(entry_of(places, scene, arrays), arrays)
+        if end > first:
+            result = 1
+    return result
 
 
 @ti.func

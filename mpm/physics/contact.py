@@ -61,7 +61,7 @@ from datasets.scene.water import CAVITATION
 from mpm.arrays.access import add, clamp, lane_numbers, maximum, minimum, no_overflow, over_lanes, present, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
-from mpm.solids.face_lookup import TINY, entry_of, face_number, normal_of, solid_of
+from mpm.solids.face_lookup import TINY, entry_of, face_number, holds_of_node, normal_of, solid_of
 from mpm.solids.terrain import bed_hold
 
 NO_FACE = -2.0 * FIRST_FACE
@@ -366,16 +366,6 @@ def apply_solids(v, mass, node, bed, worker, scene, recorded: ti.template(), arr
         if ti.static(recorded):
             add_impulse(arrays.offsets[scene, Offset.TERRAIN_SOLID], mass * removed, 0, worker, arrays)
     return after
-
-
-@ti.func
-def holds_of_node(entry, arrays: ti.template()):
-    """From which of `holds` to before which those of a node are, by its entry."""
-    first, end = 0, 0
-    if ti.static(arrays.features.listed):
-        if entry >= 0:
-            first, end = arrays.node_holds[entry], arrays.node_holds[entry + 1]
-    return first, end
 
 
 @ti.func

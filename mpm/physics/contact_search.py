@@ -1,9 +1,10 @@
 """The face that each particle is nearest to, and the way of a step that ends where it meets one.
 
 No particle passes a face: a displacement that crosses one ends there and goes on along it. Of a block, all lanes at
-once, first those particles are done whose nearest face is the same as before (`follow_faces`); each of the others
-searches (`find_contact`). A terrain in 3D stands in no list: last its bed, of all lanes at once, takes the place of a
-face that is farther (`find_bed`), and what is in it is put out.
+once, first those particles are done whose nearest face is the same as before (`follow_faces`); of the others each
+follows the edge that it is nearest to (`follow_edge`) or searches (`find_contact`). A terrain in 3D stands in no list:
+last its bed, of all lanes at once, takes the place of a face that is farther (`find_bed`), and what is in it is put
+out.
 """
 
 import taichi as ti
@@ -26,12 +27,15 @@ from mpm.physics.contact import contact_at
 from mpm.solids.face_lookup import (
     TINY,
     cell_of,
+    corners_of,
     face_number,
     first_crossed,
+    foot_on_face,
     free_path,
     frictions_of,
     list_of,
     nearest_face,
+    normal_of,
     solid_of,
     unlisted_distance,
 )
@@ -50,6 +54,8 @@ FAR = 1.0e30
 """Distance [m] of what is not there."""
 MAX_CROSSINGS = 3
 """Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
+LONGER = 0.25
+"""Cells beyond the distance that is searched up to which a face is followed: particles that hover there need none."""
 
 
 @ti.func
@@ -66,7 +72,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     path = 1.001 * ti.sqrt(dot(moved, moved))
     lower_bound = arrays.state[distance] - path
     nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
-    if over_lanes(minimum, lower_bound, arrays.features.lanes) >= nearby:
+    if over_lanes(minimum, lower_bound, arrays.features.lanes) >= followed_distance(scene, arrays):
         arrays.state[distance] = lower_bound
     else:
         arrays.scratch[scratch + features.scratch.push + 1] = mass * present(block, arrays)
@@ -75,7 +81,13 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
                 for lane in range(lanes):
                     bound = arrays.scratch_lanes[(scratch + features.scratch.push) * lanes + lane]
                     if bound < nearby:
-                        find_contact(block, scratch, lane, bound, worker, scene, arrays)
+                        free = arrays.lanes[contact_at(block, Contact.FREE, arrays) * lanes + lane]
+                        if free > 0.0:
+                            stop_at_face(block, scratch, lane, worker, scene, arrays)
+                        elif free < 0.0 and bound > 0.0:
+                            follow_edge(block, lane, scene, arrays)
+                        else:
+                            find_contact(block, scratch, lane, bound, worker, scene, arrays)
         if ti.static(features.terrain):
             if arrays.offsets[scene, Offset.TERRAIN] > 0:
                 find_bed(block, scratch, nearby, worker, scene, arrays)
@@ -83,18 +95,27 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
 
 
 @ti.func
+def followed_distance(scene, arrays: ti.template()):
+    """Distance from solids from which on faces are not followed [m]."""
+    longer = ti.static(LONGER * arrays.features.listed)
+    return arrays.settings[scene, Setting.SEARCH_DISTANCE] + longer * arrays.settings[scene, Setting.CELL]
+
+
+@ti.func
 def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arrays: ti.template()):
     """Contact of the particles of a block that are still nearest to the inside of the same face, or to none `nearby`.
 
     moved: their displacement [m], D vectors; path: no less than its length [m]. Leaves in `scratch` the lower bound of
-    the distance of each particle whose face has to be searched, and `nearby` of the others; returns whether there are
-    any to search. Particles on a bed have in place of a face what is known of the distance of the listed ones.
+    the distance of each particle that is not done with, and `nearby` of the others; returns whether there are any of
+    the former: the face of most has to be searched, those with `Contact.FREE` above zero have gone into theirs by a
+    negative distance. Particles on a bed have in place of a face what is known of the distance of the listed ones.
     """
     features = arrays.features
     size = ti.static(features.dimension)
     contact, width = contact_at(block, 0, arrays), arrays.settings[scene, Setting.CONTACT_WIDTH]
-    free, d = arrays.state[contact + Contact.FREE] - path, arrays.state[contact + Contact.DISTANCE]
-    bound = d - path
+    before, d = arrays.state[contact + Contact.FREE], arrays.state[contact + Contact.DISTANCE]
+    # Less than zero of those at an edge, which `find_contact` follows.
+    free, bound = ti.select(before < 0.0, minimum(before + path, 0.0), maximum(before - path, 0.0)), d - path
     if ti.static(features.terrain):
         bed = 1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE
         on_bed = arrays.state[contact + Contact.FACE] >= bed
@@ -102,14 +123,14 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
         free = ti.select(on_bed, 0.0, free)
     for k in ti.static(range(size)):
         d = d + moved[k] * arrays.state[contact + Contact.NORMAL + k]
-    # As long as the face is the nearest, a way on its outer side meets none.
-    follows = (free > 0.0) & (d > 0.0)
+    # As long as the face is the nearest, a way on its outer side meets none, and one into it no other.
+    follows = free > 0.0
     d = ti.select(follows, d, bound)
     arrays.state[contact + Contact.DISTANCE] = d
-    arrays.state[contact + Contact.DELTA] = ti.select(follows, contact_delta(d, width), 0.0)
-    # Beyond the search the distance becomes a bound, from which no face can be followed.
-    arrays.state[contact + Contact.FREE] = ti.select(d < nearby, free, 0.0)
-    bound = ti.select(follows, nearby, bound)
+    arrays.state[contact + Contact.DELTA] = ti.select(follows, contact_delta(maximum(d, 0.0), width), 0.0)
+    # Beyond that the distance becomes a bound, from which no face can be followed.
+    arrays.state[contact + Contact.FREE] = ti.select(d < followed_distance(scene, arrays), free, 0.0)
+    bound = ti.select(follows & (d >= 0.0), nearby, bound)
     arrays.scratch[scratch + features.scratch.push] = bound
     return over_lanes(minimum, bound, arrays.features.lanes) < nearby
 
@@ -194,6 +215,40 @@ def turn_traction(block, arrays: ti.template()):
 
 
 @ti.func
+def stop_at_face(block, scratch, lane, worker, scene, arrays: ti.template()):
+    """Put the particle in `lane` of a block out of the face that it has gone into and meets alone, and stop it there."""
+    features, lanes = arrays.features, arrays.features.lanes
+    first, contact = block * features.state.size * lanes + lane, contact_at(block, 0, arrays) * lanes + lane
+    face, x = face_number(arrays.lanes[contact + Contact.FACE * lanes]), lane_numbers(arrays.lanes, first, arrays)
+    corner, _, _ = corners_of(face, arrays)
+    normal = normal_of(face, arrays)
+    # Anew: that of a face that is followed sums up the rounding of its steps.
+    d = (x - corner).dot(normal)
+    put_lane_numbers(arrays.lanes, first, x - ti.min(d, 0.0 * d) * normal, arrays)
+    arrays.lanes[contact + Contact.DISTANCE * lanes] = ti.max(d, 0.0 * d)
+    velocity = lane_numbers(arrays.lanes, first + features.state.velocity * lanes, arrays)
+    if velocity.dot(normal) < 0.0:
+        v = after_contact(velocity, normal, arrays.lanes[contact + Contact.FRICTION * lanes])
+        put_lane_numbers(arrays.lanes, first + features.state.velocity * lanes, v, arrays)
+        mass = arrays.scratch_lanes[(scratch + features.scratch.push + 1) * lanes + lane]
+        add_impulse(solid_of(face, scene, arrays), mass * (velocity - v), lane, worker, arrays)
+
+
+@ti.func
+def follow_edge(block, lane, scene, arrays: ti.template()):
+    """Contact of the particle in `lane` of a block that is still nearest to the same edge."""
+    lanes, contact = arrays.features.lanes, contact_at(block, 0, arrays) * arrays.features.lanes + lane
+    x = lane_numbers(arrays.lanes, block * arrays.features.state.size * lanes + lane, arrays)
+    a, b, c = corners_of(face_number(arrays.lanes[contact + Contact.FACE * lanes]), arrays)
+    _weights, _part, from_foot = foot_on_face(x, a, b, c, arrays)
+    d = from_foot.norm()
+    delta = contact_delta(d, arrays.settings[scene, Setting.CONTACT_WIDTH])
+    arrays.lanes[contact + Contact.DELTA * lanes] = delta
+    arrays.lanes[contact + Contact.DISTANCE * lanes] = d
+    put_lane_numbers(arrays.lanes, contact + Contact.NORMAL * lanes, from_foot / d, arrays)
+
+
+@ti.func
 def contact_delta(d, width):
     """delta_h [1/m] of the distance `d` [m], not negative."""
     q = minimum(d / width, 1.0)
@@ -233,15 +288,15 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     if listed > 0:
         last = face_number(arrays.lanes[contact + Contact.FACE * lanes])
         face, feature, weights, normal, d, bound = nearest_face(x, last, entry, scene, arrays)
-        if feature == 0 and d > 0.0 and d < arrays.settings[scene, Setting.SEARCH_DISTANCE]:
-            free = free_path(x, face, weights, normal, d, entry, cell, scene, arrays)
-        friction = weights.dot(frictions_of(face, arrays))
+        friction, outside = weights.dot(frictions_of(face, arrays)), d > 0.0
         if d < 0.0:
             x = x - d * normal
             d, moved = 0.0 * d, True
             if v.dot(normal) < 0.0:
                 v = after_contact(v, normal, friction)
                 solid = solid_of(face, scene, arrays)
+        if d < followed_distance(scene, arrays) and (outside or feature == 0):
+            free = free_path(x, face, feature, weights, normal, d, entry, cell, scene, arrays)
         distance = ti.min(d, bound)
         delta = contact_delta(d, arrays.settings[scene, Setting.CONTACT_WIDTH])
         arrays.lanes[contact + Contact.FRICTION * lanes] = friction

@@ -14,14 +14,14 @@ Only the nodes of columns near the material are cleared and updated (`mpm.physic
 import taichi as ti
 
 from mpm.arrays.access import TINY, box_cells, columns_deep
-from mpm.arrays.layout import PADDING, Offset, Setting, Span, StepControl, Worker
+from mpm.arrays.layout import PADDING, BedUnder, Offset, Setting, Span, StepControl, Worker
 from mpm.arrays.nodes import zero_node
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import add_impulse, apply_walls, with_friction
 from mpm.physics.columns import node_at
 from mpm.physics.contact import apply_solids
 from mpm.physics.inflow import held_behind
-from mpm.solids.terrain import bed_under
+from mpm.solids.terrain import FAR_BELOW, bed_under
 
 SLOW = 1.0e-3
 """Speed over sqrt(g dx) below which local damping fades [-]."""
@@ -48,6 +48,9 @@ def update_grid(worker, scene, dt, kappa, arrays: ti.template()):
         if ti.static(arrays.features.wet):
             arrays.spans[first + column, Span.ALONE] = 1 if alone else 0
         bed = bed_under(index_of([i, low, k], arrays), scene, arrays)
+        held = bed[BedUnder.REFERENCE] > FAR_BELOW
+        if ti.static(arrays.features.listed):
+            held = held or arrays.spans[first + column, Span.HELD] == 1
         for j in range(low, arrays.spans[first + column, Span.HIGH]):
             if alone or owns(column, j, worker, arrays):
                 node = zero_node()
@@ -56,7 +59,7 @@ def update_grid(worker, scene, dt, kappa, arrays: ti.template()):
                 else:
                     node = node_of(arrays.grid, column, j, worker, arrays)
                 if node[arrays.features.dimension] > 0.0:
-                    node = moved_node(node, index_of([i, j, k], arrays), bed, worker, scene, dt, kappa, arrays)
+                    node = moved_node(node, index_of([i, j, k], arrays), bed, held, worker, scene, dt, kappa, arrays)
                     if alone:
                         arrays.grid[own_node(column, j, worker, arrays)] = node
                     else:
@@ -163,7 +166,7 @@ def update_node(n, scene, arrays: ti.template()):
             kappa = relaxation_factor(scene, dt, arrays)
             index = index_of([i, j, k], arrays)
             bed = bed_under(index, scene, arrays)
-            arrays.grid[at] = moved_node(node, index, bed, scene, scene, dt, kappa, arrays)
+            arrays.grid[at] = moved_node(node, index, bed, True, scene, scene, dt, kappa, arrays)
 
 
 @ti.func
@@ -175,9 +178,9 @@ def velocity_before(node, arrays: ti.template()):
 
 
 @ti.func
-def moved_node(node, indices, bed, worker, scene, dt, kappa, arrays: ti.template()):
+def moved_node(node, indices, bed, held, worker, scene, dt, kappa, arrays: ti.template()):
     """The node `indices` of the box, shape [D], over a `bed`, with its new velocity for its momentum, and its change
-    new - kept old.
+    new - kept old. held: whether solids may hold it.
     """
     features = arrays.features
     mass, old = node[features.dimension], velocity_before(node, arrays)
@@ -191,7 +194,8 @@ def moved_node(node, indices, bed, worker, scene, dt, kappa, arrays: ti.template
         share = node[features.node.grains] / mass
     new = apply_walls(new, indices, box_cells(scene, arrays), features.dimension, mass, share, worker, scene, arrays)
     if ti.static(features.contact):
-        new = apply_solids(new, mass, indices, bed, worker, scene, True, arrays)
+        if held:
+            new = apply_solids(new, mass, indices, bed, worker, scene, True, arrays)
     if ti.static(features.channel):
         new = with_friction(new, dt * node[features.node.side_friction] / mass)
     if ti.static(features.barriers):

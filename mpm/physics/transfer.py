@@ -174,28 +174,29 @@ def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     volume, zero = volume_of(scene, block, arrays), 0.0 * arrays.state[first]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + zero
     f = weights_of(scene, block, scratch, 1.0 / dx, arrays)
+    leave_contributions(scene, block, scratch, mass, volume, f, dx, arrays)
     if ti.static(features.contact):
         if touches(block, arrays):
             push(block, scratch, arrays)
             pushed = vectors(arrays.scratch, scratch + features.scratch.push, 2 * features.dimension)
-            leave_contributions(scene, block, scratch, mass, volume, pushed, f, dx, arrays)
-        else:
-            leave_contributions(scene, block, scratch, mass, volume, [], f, dx, arrays)
-    else:
-        leave_contributions(scene, block, scratch, mass, volume, [], f, dx, arrays)
+            pull, forces = contributions_of_contact(pushed, volume, f, dx, features.dimension)
+            at = scratch + features.scratch.values + features.node.force
+            for i in ti.static(range(features.dimension)):
+                arrays.scratch[at + i] = arrays.scratch[at + i] + pull[i]
+                for j in ti.static(range(features.dimension)):
+                    slope = at + (1 + j) * NODE + i
+                    arrays.scratch[slope] = arrays.scratch[slope] + forces[i * features.dimension + j]
 
 
 @ti.func
-def leave_contributions(
-    scene, block, scratch, mass, volume, pushed: ti.template(), f: ti.template(), dx, arrays: ti.template()
-):
-    """Leave in `scratch` the values and slopes of a block."""
+def leave_contributions(scene, block, scratch, mass, volume, f: ti.template(), dx, arrays: ti.template()):
+    """Leave in `scratch` the values and slopes of a block, without those of contact."""
     features = arrays.features
     first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
     velocity = vectors(arrays.state, first + features.state.velocity, features.dimension)
     affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
     stress = total_stress(block, arrays)
-    momentum, slopes, pull, forces = contributions((velocity, affine, stress), mass, volume, pushed, f, dx, features)
+    momentum, slopes, pull, forces = contributions((velocity, affine, stress), mass, volume, f, dx, features)
     if ti.static(features.seeps):
         for i in ti.static(range(features.dimension)):
             pull[i] = pull[i] + volume * arrays.state[first + features.state.seepage + i]
@@ -221,12 +222,9 @@ def leave_contributions(
 
 
 @ti.func
-def contributions(
-    carried: ti.template(), mass, volume, pushed: ti.template(), f: ti.template(), dx, features: ti.template()
-):
+def contributions(carried: ti.template(), mass, volume, f: ti.template(), dx, features: ti.template()):
     """What a particle gives to the node that lies `f` cells below it: momentum, D x D slopes of it per cell row by row,
-    and the force and its slopes. carried: its velocity, C and stress; pushed: `surface_force` of solids, nothing where
-    none is near.
+    and the force and its slopes. carried: its velocity, C and stress.
     """
     velocity, affine, stress = carried
     # Lengths on the grid are in cells: times dx.
@@ -236,17 +234,24 @@ def contributions(
     slopes = [mass * dx * affine[k] for k in ti.static(range(features.dimension**2))]
     forces = [force_scale * stress[0] for _ in ti.static(range(features.dimension**2))]
     for i in ti.static(range(features.dimension)):
-        if ti.static(len(pushed) > 0):
-            pull[i] = volume * pushed[i]
         for j in ti.static(range(features.dimension)):
             at = ti.static(i * features.dimension + j)
-            whole = stress[ti.static(component(i, j, features.dimension))]
-            if ti.static(len(pushed) > 0):
-                whole = whole + pushed[i] * pushed[features.dimension + j]
-            forces[at] = force_scale * whole
+            forces[at] = force_scale * stress[ti.static(component(i, j, features.dimension))]
             pull[i] = pull[i] - forces[at] * f[j]
             momentum[i] = momentum[i] - slopes[at] * f[j]
     return momentum, slopes, pull, forces
+
+
+@ti.func
+def contributions_of_contact(pushed: ti.template(), volume, f: ti.template(), dx, dimension: ti.template()):
+    """What the `surface_force` of solids, `pushed`, adds to that force and its slopes."""
+    force_scale = -4.0 * volume * (1.0 / dx)
+    pull = [volume * pushed[i] for i in ti.static(range(dimension))]
+    forces = [force_scale * pushed[k // dimension] * pushed[dimension + k % dimension] for k in ti.static(range(dimension**2))]
+    for i in ti.static(range(dimension)):
+        for j in ti.static(range(dimension)):
+            pull[i] = pull[i] - forces[ti.static(i * dimension + j)] * f[j]
+    return pull, forces
 
 
 @ti.func

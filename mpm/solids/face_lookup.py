@@ -11,6 +11,8 @@ from mpm.solids.terrain import in_terrain
 
 SKIN = 1.0e-3
 """Cells by which rounding may have put a particle behind the face it rests on."""
+SLACK = 0.25
+"""Cells by which a particle may be beside its cell and find the nearest face in the list of that cell still."""
 TINY = 1.0e-20
 """Keeps quotients finite."""
 
@@ -92,6 +94,16 @@ def list_of(entry, arrays: ti.template()):
             first = arrays.cell_faces[entry]
             count = arrays.cell_faces[entry + 1] - first
     return first, count
+
+
+@ti.func
+def holds_of_node(entry, arrays: ti.template()):
+    """From which of `holds` to before which those of a node are, by its entry."""
+    first, end = 0, 0
+    if ti.static(arrays.features.listed):
+        if entry >= 0:
+            first, end = arrays.node_holds[entry], arrays.node_holds[entry + 1]
+    return first, end
 
 
 @ti.func
@@ -255,33 +267,64 @@ def nearest_face(x, last, entry, scene, arrays: ti.template()):
 
 
 @ti.func
-def free_path(x, face, weights, normal, d, entry, cell, scene, arrays: ti.template()):
-    """How far a particle at `x` [m] outside of the solids may move and be nearest to the inside of `face` still [m].
+def margin(x, weights, part, a, b, c, arrays: ti.template()):
+    """How far `x` [m] may move with its foot on the same part of a face still [m], by what `foot_on_face` gives; 0 at
+    the corner of a triangle.
+    """
+    free = 0.0 * x[0]
+    if ti.static(arrays.features.dimension == 2):
+        along, length = b - a, (b - a).norm()
+        free = ti.min(weights[0], weights[1]) * length
+        if part == 1:
+            free = (a - x).dot(along) / length
+        elif part == 2:
+            free = (x - b).dot(along) / length
+    elif part == 0:
+        area = (b - a).cross(c - a).norm()
+        free = ti.min(weights[0] * area / (c - b).norm(), weights[1] * area / (a - c).norm())
+        free = ti.min(free, weights[2] * area / (b - a).norm())
+    elif part > 3:
+        start, end, other, low, high = a, b, c, weights[0], weights[1]
+        if part == 5:
+            start, end, other, low, high = b, c, a, weights[1], weights[2]
+        elif part == 6:
+            start, end, other, low, high = c, a, b, weights[2], weights[0]
+        length = (end - start).norm()
+        along = (end - start) / length
+        inwards = other - start - (other - start).dot(along) * along
+        free = ti.min(ti.min(low, high) * length, (start - x).dot(inwards) / inwards.norm())
+    return free
 
-    Its foot has to stay there, it in its cell, and no face that lies in part in front of this one may come nearer: both
-    distances change by no more than its path. 0 where the friction varies along the face.
+
+@ti.func
+def free_path(x, face, feature, weights, normal, d, entry, cell, scene, arrays: ti.template()):
+    """How far a particle at `x` [m] outside of the solids may move and be nearest to the same part of `face` still [m],
+    less than zero of an edge.
+
+    Its foot has to stay there, on all faces of an edge, it near its cell, and no other face, of the inside of one none
+    that lies in part in front of it, may come nearer: both distances change by no more than its path. 0 where the
+    friction varies along the face.
     """
     dimension = ti.static(arrays.features.dimension)
-    free = cell
-    friction = frictions_of(face, arrays)
+    a, b, c = corners_of(face, arrays)
+    free, friction = ti.min(cell, margin(x, weights, feature, a, b, c, arrays)), frictions_of(face, arrays)
     for k in ti.static(range(1, dimension)):
         if friction[k] != friction[0]:
             free = 0.0 * free
-    a, b, c = corners_of(face, arrays)
-    if ti.static(dimension == 2):
-        free = ti.min(free, weights[0] * (b - a).norm(), weights[1] * (b - a).norm())
-    else:
-        area = (b - a).cross(c - a).norm()
-        free = ti.min(free, weights[0] * area / (c - b).norm(), weights[1] * area / (a - c).norm())
-        free = ti.min(free, weights[2] * area / (b - a).norm())
     first, listed = list_of(entry, arrays)
     for k in ti.static(range(dimension)):
         above = x[k] - ti.floor(x[k] / cell) * cell
-        free = ti.min(free, above, cell - above)
+        free = ti.min(free, ti.min(above, cell - above) + SLACK * cell)
     for number in range(listed):
         p, q, r = corners_of(arrays.near_faces[first + number], arrays)
         # Whether it lies in part in front of the plane of `face`.
-        if ti.max((p - a).dot(normal), (q - a).dot(normal), (r - a).dot(normal)) > SKIN * cell:
-            _, _, from_foot = foot_on_face(x, p, q, r, arrays)
-            free = ti.min(free, 0.5 * (from_foot.norm() - d))
+        in_front = ti.max((p - a).dot(normal), (q - a).dot(normal), (r - a).dot(normal)) > SKIN * cell
+        if feature > 0 or in_front:
+            w, part, from_foot = foot_on_face(x, p, q, r, arrays)
+            if feature == 0 or (from_foot - d * normal).norm() > SKIN * cell:
+                free = ti.min(free, 0.5 * (from_foot.norm() - d))
+            else:
+                free = ti.min(free, margin(x, w, part, p, q, r, arrays))
+    if feature > 0:
+        free = 0.0 - ti.max(free, 0.0 * free)
     return free

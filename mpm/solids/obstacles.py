@@ -9,7 +9,8 @@ beside the face that is nearest, and holds nodes by it after what listed faces l
 **Lists.** A point p of a cell with centre c and half diagonal h has d(c, F) - h <= d(p, F) <= d(c, F) + h from a face
 F. So F can be the nearest one of a point at a distance of at most `cutoff` only where d(c, F) <= min(smallest + 2 h,
 cutoff + h), `smallest` being the distance of c from its nearest face, and a displacement of at most a cell `dx` that
-starts in the cell can cut F only where d(c, F) <= h + dx.
+starts in the cell can cut F only where d(c, F) <= h + dx. With h of a cell that is larger by `SLACK` on all sides the
+first holds for the places around it, too: a particle need not search anew at the moment in which it leaves its cell.
 
 **Holds.** A node in a solid is held by every face that it lies behind and that is nearly the nearest, each with a share
 that is continuous in the place of the solid. With d_k the distance of face k, N_k its normal and n_k the direction from
@@ -41,7 +42,7 @@ from datasets.scene import NO_SLIP, Domain, Scene
 from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import CONTACT_WIDTH, roughest, search_distance
 from mpm.solids.bed import Bed, bed_of, frictions_of
-from mpm.solids.face_lookup import SKIN
+from mpm.solids.face_lookup import SKIN, SLACK
 from mpm.solids.terrain import FADE
 
 Array = NDArray[Any]
@@ -87,7 +88,7 @@ def window_around(domain: Domain, surface: Surface, cutoff: float) -> Window:
         return Window(low=(0,) * domain.dimension, shape=(0,) * domain.dimension, cell=domain.cell)
     corners = surface.corners.reshape(1, -1, domain.dimension)
     # Of the centre of a cell that lists a face; a step moves a particle by at most a cell.
-    limit = (max(cutoff, 1.0) + 0.5 * math.sqrt(domain.dimension)) * domain.cell
+    limit = (max(cutoff + SLACK * math.sqrt(domain.dimension), 1.0) + 0.5 * math.sqrt(domain.dimension)) * domain.cell
     low, high = (bounds[0] for bounds in boxes_around(domain, corners, limit))
     shape = np.array(node_shape(domain))
     low = np.clip(low, 0, shape - 1)
@@ -307,9 +308,10 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
     cutoff: largest distance from the surface that is listed [cells]; a displacement of a step is at most a cell.
     """
     cell, half = window.cell, 0.5 * window.cell * math.sqrt(len(window.shape))
+    wide = (1.0 + 2.0 * SLACK) * half
     if not len(surface.corners):
         return np.zeros(window.count + 1, np.int32), np.zeros(0, np.int32)
-    limit = max(cutoff, 1.0) * cell + half
+    limit = max(cutoff * cell + wide, cell + half)
     low, high = (bounds - np.array(window.low) for bounds in boxes_around(window, surface.corners, limit))
     around = np.zeros(window.shape, bool)
     for first, last in zip(np.maximum(low, 0), np.clip(high, 0, window.shape), strict=True):
@@ -329,7 +331,7 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
     smallest = np.minimum.reduceat(distance, groups) if len(groups) else distance
     smallest = np.repeat(smallest, np.diff(groups, append=len(cells)))
     slack = 1.0e-9 * cell
-    nearest_one = distance <= np.minimum(smallest + 2.0 * half, cutoff * cell + half) + slack
+    nearest_one = distance <= np.minimum(smallest + 2.0 * wide, cutoff * cell + wide) + slack
     kept = nearest_one | (distance <= half + cell + slack)
     listed = np.bincount(cells[kept] + 1, minlength=window.count + 1)
     return np.cumsum(listed).astype(np.int32), faces[kept].astype(np.int32)

@@ -227,17 +227,23 @@ ON_HILL = hill(baffles=(Baffle(lower=(0.62, 0.0, 0.2), size=(0.05, 0.6, 0.2)),))
     ids=["2D", "3D", "beside a baffle on rough ground"],
 )
 def test_the_face_that_is_followed_is_the_nearest(scene: Scene) -> None:
-    """The distance is that of a search of all faces; nothing is in a solid."""
+    """Distance and normal are those of a search of all faces; nothing is in a solid."""
     runtime.start("f64", enough=1)
     batch, cell = Batch([scene], precision="f64", record=LAST), scene.domain.cell
+    contacts, solid = batch.features.state.contacts, contact_surface_of(scene)
     for frame in range(1, scene.frames):
         compute(batch, frame + 1, 1)
-        distance = distance_from(scene, batch.numbers(0, 0, scene.dimension).T)
+        points = batch.numbers(0, 0, scene.dimension).T
+        distance = distance_from(scene, points)
         assert distance.min() > -1.0e-5 * cell
         exact = np.clip(distance, 0.0, None)
-        followed = batch.numbers(0, batch.features.state.contacts, len(Contact))[Contact.DISTANCE]
+        followed = batch.numbers(0, contacts, len(Contact))[Contact.DISTANCE]
         assert (followed <= exact + 1.0e-9 * cell)[exact < 2.0 * cell].all()
         assert np.abs(followed - exact)[exact < cell].max(initial=0.0) < 1.0e-9 * cell
+        seen = nearest(solid.faces, points)
+        apart = (exact > 1.0e-3 * cell) & (exact < cell) & (seen.distance == distance)
+        facing = batch.numbers(0, contacts + Contact.NORMAL, scene.dimension).T
+        assert np.abs(facing - seen.normal)[apart].max(initial=0.0) < 1.0e-6
     assert (exact < cell).sum() > 20
 
 
