@@ -115,8 +115,8 @@ class Contact(IntEnum):
     DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
     FRICTION = auto()  # its Coulomb coefficient at the foot [-]
     FACE = auto()  # the number of that face, less FIRST_FACE
-    # How far a particle may move before another face or an edge, on terrain any face, may be near [m]; less than zero at
-    # an edge, before another part of the faces may be.
+    # How far a particle may move before another face or an edge, on terrain any face, may be near [m]; at an edge, less
+    # than zero, before another part of the faces may be.
     FREE = auto()
     NORMAL = auto()  # D vectors: n, out of the solid [-]; behind them D of the shear traction [Pa]
 

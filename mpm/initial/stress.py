@@ -50,10 +50,7 @@ NEAR = 0.01
 
 
 def initial_tractions(
-    scene: Scene,
-    particles: Particles,
-    positions: Floats | None = None,
-    water: tuple[Floats, Floats] | None = None,
+    scene: Scene, particles: Particles, positions: Floats | None = None, water: tuple[Floats, Floats] | None = None
 ) -> tuple[Floats, Floats]:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
     the shear traction of the solid that it touches [Pa], shape [N, D]. In masses without `k0` that of

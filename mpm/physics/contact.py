@@ -57,7 +57,7 @@ v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares
 
 import taichi as ti
 
-from mpm.arrays.access import add, clamp, lane_numbers, maximum, minimum, no_overflow, over_lanes, present, vectors
+from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, present, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
 from mpm.physics.pore_pressure import total_stress

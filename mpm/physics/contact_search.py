@@ -217,7 +217,7 @@ def turn_traction(block, arrays: ti.template()):
 
 @ti.func
 def stop_at_face(block, scratch, lane, worker, scene, arrays: ti.template()):
-    """Put the particle in `lane` of a block out of the face that it has gone into and meets alone, and stop it there."""
+    """Put the particle in `lane` of a block out of the face that it has gone into, alone, and stop it there."""
     features, lanes = arrays.features, arrays.features.lanes
     first, contact = block * features.state.size * lanes + lane, contact_at(block, 0, arrays) * lanes + lane
     face, x = face_number(arrays.lanes[contact + Contact.FACE * lanes]), lane_numbers(arrays.lanes, first, arrays)

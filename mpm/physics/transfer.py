@@ -256,7 +256,8 @@ def contributions_of_contact(pushed: ti.template(), volume, f: ti.template(), dx
     """What the `surface_force` of solids, `pushed`, adds to that force and its slopes."""
     force_scale = -4.0 * volume * (1.0 / dx)
     pull = [volume * pushed[i] for i in ti.static(range(dimension))]
-    forces = [force_scale * pushed[k // dimension] * pushed[dimension + k % dimension] for k in ti.static(range(dimension**2))]
+    square = ti.static(range(dimension**2))
+    forces = [force_scale * pushed[k // dimension] * pushed[dimension + k % dimension] for k in square]
     for i in ti.static(range(dimension)):
         for j in ti.static(range(dimension)):
             pull[i] = pull[i] - forces[ti.static(i * dimension + j)] * f[j]

@@ -167,6 +167,7 @@ def test_the_middle_of_a_sheet_of_sand_has_the_speed_of_the_block(bump: float, s
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:solids.*stops nearly any flow")
 def test_blocks_on_a_bed_whose_turbulence_varies_have_the_speeds_of_their_places() -> None:
     """Side by side on xi of 10 and 40 m/s^2 by columns of a raster; of one value it is the number."""
     low, high = 10.0, 40.0

@@ -20,13 +20,14 @@ from datasets.scene.water import constrained_modulus, drainage
 from gns.settings import ModelSettings
 from gns.surroundings.initial import check
 from inverse.parameters.kind import KINDS
-from mpm import simulate
+from mpm import WITH_FIELDS, simulate
 from mpm.adjoint.tape import check as known_to_adjoint
 from mpm.arrays.features import features_of
 from mpm.output.recording import Recording
 from tests.mpm.element import follow
 from tests.refusals import refused
 from tests.scenes import scene_of
+from validation.bench.stability.invariants import momentum
 
 GRAVITY, DENSITY, HEIGHT = 9.81, 2000.0, 0.4
 WET = Material(friction_deg=30.0, density=DENSITY, saturated=True)
@@ -202,27 +203,68 @@ def travelled(flow: Trajectory) -> np.ndarray[Any, Any]:
     return np.asarray((x[:, middle] - x[0, middle]).mean(axis=1))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("ratio", [None, 0.5, 0.8])
+FLOOR: dict[str, Any] = {"solids": (), "floor_friction": 0.3}
+
+
 @pytest.mark.parametrize(
-    ("changes", "miss"),
+    ("changes", "ratio", "miss"),
     [
-        ({}, 0.035),
-        ({"jitter": 0.4}, 0.035),
-        ({"width": 0.12, "duration": 0.21}, 0.035),
-        # A single row of particles in each cell does not tell the pressure at the bed.
-        ({"particles_per_axis": 1}, 0.06),
-        # On the floor of the box in place of a terrain.
-        ({"solids": (), "floor_friction": 0.3}, 0.06),
+        (FLOOR, 0.8, 0.005),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in [
+                ({}, None, 0.002),
+                ({}, 0.5, 0.005),
+                ({}, 0.8, 0.005),
+                ({"jitter": 0.4}, 0.5, 0.02),
+                ({"jitter": 0.4}, 0.8, 0.02),
+                (FLOOR, 0.5, 0.002),
+                (FLOOR | {"jitter": 0.4}, 0.8, 0.01),
+                (FLOOR | {"width": 0.12, "length": 4.0, "duration": 0.04}, 0.8, 0.01),
+                ({"width": 0.12, "length": 4.0, "duration": 0.04}, 0.8, 0.01),
+                # A single row of particles in each cell does not tell the pressure at the bed.
+                ({"particles_per_axis": 1}, 0.5, 0.03),
+                # Where the bed cuts the cells, water cannot bear what the grid asks of single rows, and grains may not.
+                ({"raised": 0.25}, 0.5, 0.005),
+                ({"raised": 0.25}, 0.8, 0.03),
+                ({"raised": 0.5}, 0.8, 0.03),
+                ({"raised": 0.4, "jitter": 0.4}, 0.8, 0.08),
+            ]
+        ),
     ],
 )
-def test_a_sheet_slides_by_its_effective_stress(ratio: float | None, changes: dict[str, Any], miss: float) -> None:
-    """Of a ratio, or in water that fills it and stays, half as heavy."""
+def test_a_sheet_slides_by_its_effective_stress(changes: dict[str, Any], ratio: float | None, miss: float) -> None:
+    """Of a ratio, or in water that fills it and stays, half as heavy; so long that no wave from its ends gets there.
+
+    raised: the bed, by so many cells.
+    """
     slope_deg, friction, fixed = 25.0, 0.3, {} if ratio else {"water": Water(fixed=True)}
-    flow = simulate(sheet(ratio, slope_deg=slope_deg, friction=friction, **fixed, **changes))
+    soil = {"friction_deg": 50.0, "young": 2.0e5}
+    given: dict[str, Any] = {"length": 8.0, "duration": 0.08, "frame_dt": 0.04, "material": soil} | fixed | changes
+    height = given.pop("raised", 0.0) * 0.02
+    scene = sheet(ratio, slope_deg=slope_deg, friction=friction, **given)
+    if height:
+        bed = dataclasses.replace(scene.solids[0], points=((0.0, height), (9.0, height)))
+        body = dataclasses.replace(scene.masses[0], lower=(0.1, height))
+        scene = dataclasses.replace(scene, solids=(bed,), masses=(body,))
+    flow = simulate(scene, record=FIELDS)
+    x = flow.positions[0, :, 0]
+    speed = flow.velocities[-1, np.abs(x - 0.5 * (x.min() + x.max())) < 0.2, 0].mean()
     steep = math.radians(slope_deg)
     acceleration = GRAVITY * (math.sin(steep) - (1.0 - (ratio or 0.5)) * friction * math.cos(steep))
-    assert travelled(flow)[-1] == pytest.approx(0.5 * acceleration * flow.time[-1] ** 2, rel=miss)
+    assert speed == pytest.approx(acceleration * flow.time[-1], rel=miss)
+
+
+@pytest.mark.double
+def test_what_water_presses_on_walls_is_recorded() -> None:
+    """The momentum of a wet column that spreads between walls is gravity's less what these took."""
+    body = Mass(lower=(0.0, 0.0), size=(0.2, 0.2), k0=0.5, initial_pore_pressure_ratio=0.6)
+    settings: dict[str, Any] = {"size": (0.4, 0.3), "material": WET, "duration": 0.3, "frame_dt": 0.02}
+    scene = scene_of(body, floor_friction=0.4, wall_friction=0.3, **settings)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        flow = simulate(scene, record=WITH_FIELDS, precision="f64")
+    assert momentum(flow).value < 1.0e-5
 
 
 @pytest.mark.slow
@@ -262,7 +304,7 @@ def test_a_sheet_is_braked_as_its_water_drains() -> None:
     x = flow.positions[0, :, 0]
     speed = flow.velocities[-1, np.abs(x - 8.1) < 0.2, 0].mean()
     braked = math.sin(steep) - speed / (GRAVITY * time)
-    assert braked / (0.35 * math.cos(steep)) == pytest.approx(share, rel=0.04)
+    assert braked / (0.35 * math.cos(steep)) == pytest.approx(share, rel=0.06)
 
 
 @pytest.mark.slow
@@ -283,7 +325,7 @@ def test_moduli_step_and_cell_are_numerical(monkeypatch: pytest.MonkeyPatch) -> 
     # Ten cells are few for a tip that is thinner than one.
     assert front(0.8, seeds=5, cell=0.02) == pytest.approx(usual, rel=0.17)
     monkeypatch.setattr(water, "STIFFER", 80.0)
-    assert front(0.8, seeds=5) == pytest.approx(usual, rel=0.06)
+    assert front(0.8, seeds=5) == pytest.approx(usual, rel=0.09)
 
 
 def column(
@@ -371,9 +413,6 @@ def test_scenes_that_water_cannot_be_in_are_refused() -> None:
     body = Mass(lower=(0.0, 0.0), size=(0.2, 0.4))
     assert refused(simulate, scene_of(body, material=WET)).key == "masses[0].k0"
     assert refused(layer, None, volume_correction=False).key == "volume_correction"
-    rough = sheet(0.5, slope_deg=25.0, friction=0.3, width=0.12, floor_friction=0.4)
-    voellmy = dataclasses.replace(rough, solids=(dataclasses.replace(rough.solids[0], turbulence=500.0),))
-    assert refused(features_of, [voellmy], "f32").key == "wall_friction"
     for values in ({"dilation_deg": 5.0}, {"dilation_deg": -31.0, "softening_length": 0.1}):
         assert refused(dataclasses.replace, WET, **values).key == "material.dilation_deg"
     assert refused(scene_of, water=Water(level=0.1)).key == "water"
