@@ -115,7 +115,7 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
     size = ti.static(features.dimension)
     contact, width = contact_at(block, 0, arrays), arrays.settings[scene, Setting.CONTACT_WIDTH]
     before, d = arrays.state[contact + Contact.FREE], arrays.state[contact + Contact.DISTANCE]
-    # Less than zero of those at an edge, which `find_contact` follows.
+    # Less than zero of those at an edge, which `follow_edge` follows.
     free, bound = ti.select(before < 0.0, minimum(before + path, 0.0), maximum(before - path, 0.0)), d - path
     if ti.static(features.terrain):
         bed = 1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE
