@@ -247,13 +247,8 @@ class Batch:
             water = initial_water(scene, particles) if features.pores else None
             if water is not None:
                 put(features.state.pore_pressure, water[0][:, : 1 + features.wet])
-                put(
-                    *(
-                        (features.state.seepage, -water[1])
-                        if features.seeps
-                        else (features.state.pressure_slope, water[1])
-                    )
-                )
+                slope = (features.state.seepage, -1.0) if features.seeps else (features.state.pressure_slope, 1.0)
+                put(slope[0], slope[1] * water[1])
             rounded = particles.positions.astype(state.dtype)
             stress, shear = initial_tractions(scene, particles, rounded, water)
             put(features.state.stress, stress)

@@ -95,10 +95,8 @@ def find_cells(worker, scene, first, deep, arrays: ti.template()):
 def has_holds(column, low, high, scene, arrays: ti.template()):
     """1 where listed faces hold one of the nodes [low, high) of a column of the box, else 0."""
     result, deep = 0, columns_deep(scene, arrays)
-    places = [column // deep, low, column % deep]
     for j in range(low, high):
-        places[1] = j
-        first, end = holds_of_node(entry_of(places, scene, arrays), arrays)
+        first, end = holds_of_node(entry_of([column // deep, j, column % deep], scene, arrays), arrays)
         if end > first:
             result = 1
     return result
