@@ -136,8 +136,9 @@ def given_of(carried, volume, density, pushed, grip, distances, dx, width, featu
     mass, here = volume * density, [0.0] * features.dimension
     momentum, slopes, pull, forces = contributions(carried, mass, volume, here, dx, features)
     if pushed:
-        both = contributions_of_contact(pushed, volume, here, dx, features.dimension)
-        pull, forces = ([a + b for a, b in zip(*pair, strict=True)] for pair in zip((pull, forces), both, strict=True))
+        more_pull, more_forces = contributions_of_contact(pushed, volume, here, dx, features.dimension)
+        pull = [a + b for a, b in zip(pull, more_pull, strict=True)]
+        forces = [a + b for a, b in zip(forces, more_forces, strict=True)]
     braked = [side_friction(carried[2], volume, grip)] if features.channel else []
     weighed = [mass * minimum(distance / width, 1.0) for distance in distances]
     return momentum, mass, pull, braked, weighed, slopes, forces

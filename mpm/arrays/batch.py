@@ -44,7 +44,7 @@ from mpm.arrays.properties import (
 )
 from mpm.initial.barriers import held_tables
 from mpm.initial.slope import begins_as_slope
-from mpm.initial.water import initial_water
+from mpm.initial.water import initial_water, near_walls
 from mpm.output.recording import ALL, Recording, window_frames
 from mpm.solids.bed import bed_arrays
 from mpm.solids.obstacles import initial_contacts, obstacles_of
@@ -244,11 +244,18 @@ class Batch:
             # Imported here: most runs begin without stress and need no sparse solver.
             from mpm.initial.stress import initial_tractions
 
-            water = initial_water(scene, particles) if features.pores else None
-            if water is not None:
-                put(features.state.pore_pressure, water[0][:, : 1 + features.wet])
-                slope = (features.state.seepage, -1.0) if features.seeps else (features.state.pressure_slope, 1.0)
-                put(slope[0], slope[1] * water[1])
+            water = None
+            if features.pores:
+                near = near_walls(scene, particles.positions)
+                if features.contact:
+                    near |= state[:, features.state.contacts + Contact.DELTA].ravel()[:count] > 0.0
+                water = initial_water(scene, particles, near)
+                pores, slope = water
+                put(features.state.pore_pressure, pores[:, : 1 + features.wet])
+                if features.seeps:
+                    put(features.state.seepage, -slope)
+                else:
+                    put(features.state.pressure_slope, slope)
             rounded = particles.positions.astype(state.dtype)
             stress, shear = initial_tractions(scene, particles, rounded, water)
             put(features.state.stress, stress)

@@ -16,6 +16,7 @@ from mpm.arrays.layout import PADDING, Property
 from mpm.arrays.properties import CONTACT_WIDTH, properties_of
 from mpm.initial.barriers import barriers
 from mpm.initial.grid_operators import ContactOperator, clings, gradient_matrices
+from mpm.initial.water import from_wall
 from mpm.laws import law_of
 from mpm.physics.pore_pressure import COVERED
 from mpm.solids.obstacles import contact_delta, covered_at
@@ -96,17 +97,17 @@ class Equilibrium:
         foot = pressure[touching] - self.contact.distance * (slope[touching] * self.contact.normal).sum(axis=1)
         push = self.contact.force(-np.maximum(foot, 0.0), self.contact.traction)
         self.gravity = self.gravity + push + self.divergence(pressure[:, None, None] * np.eye(3))
-        count, cell = len(pressure), scene.domain.cell
-        for axis, length in enumerate(scene.domain.size):
+        count = len(pressure)
+        for axis in range(self.dimension):
             for side in (0, 1):
                 if DOMAIN_SIDES[2 * axis + side] in scene.open_sides:
                     continue
                 inwards = 1.0 - 2.0 * side
-                away = np.maximum(length - positions[:, axis] if side else positions[:, axis], 0.0)
+                away = from_wall(scene, positions, 2 * axis + side)
                 uncovered = np.ones(count, bool)
                 uncovered[touching[inwards * self.contact.normal[:, axis] > COVERED]] = False
                 foot = np.maximum(pressure - inwards * away * slope[:, axis], 0.0) * (uncovered & (pressure > 0.0))
-                force = inwards * self.volume * contact_delta(away, CONTACT_WIDTH * cell) * foot
+                force = inwards * self.volume * contact_delta(away, CONTACT_WIDTH * scene.domain.cell) * foot
                 levers = self.slopes[axis * count : (axis + 1) * count]
                 self.gravity[:, axis] += self.weights.T @ force - levers.T @ (inwards * away * force)
 

@@ -61,8 +61,7 @@ def initial_tractions(
     """
     dimension = scene.dimension
     rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
-    share = None if water is None else water[0][:, 2]
-    stress, shear = slope_stress(scene, particles, rounded, share)
+    stress, shear = slope_stress(scene, particles, rounded, None if water is None else water[0][:, 2])
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
     if water is not None and not chosen.all() and scene.gravity > 0.0:
         # Else water would take what is unbalanced on the grid: it is the stiffer.
@@ -73,9 +72,9 @@ def initial_tractions(
     if chosen.any() and scene.gravity > 0.0:
         guess, numbers = geostatic(scene, particles, rounded), np.flatnonzero(chosen)
         problem = Equilibrium(scene, particles, rounded, numbers)
-        if water is not None and share is not None:
+        if water is not None:
             problem.carry(scene, rounded[numbers], water[0][numbers, 0], water[1][numbers])
-            guess = guess * share[:, None, None]
+            guess = guess * water[0][:, 2, None, None]
         stress[chosen] = guess[chosen]
         boxes = [mass.k0 is not None and not clings(mass) for mass in scene.masses]
         alone = all(box or mass.k0 is None for box, mass in zip(boxes, scene.masses, strict=True))

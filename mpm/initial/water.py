@@ -30,15 +30,16 @@ from datasets.scene import TOLERANCE, Mass, Scene, keyed
 from datasets.scene.particles import Particles
 from datasets.scene.parts import Water
 from datasets.scene.water import DENSITY
+from mpm.arrays.properties import CONTACT_WIDTH
 from mpm.initial.slope import begins_as_slope, ground_beneath, mass_above, sides, within
 
 Floats = NDArray[np.float64]
 
 
-def initial_water(scene: Scene, particles: Particles) -> tuple[Floats, Floats]:
+def initial_water(scene: Scene, particles: Particles, near: NDArray[np.bool_] | None = None) -> tuple[Floats, Floats]:
     """p [Pa] of each particle, 1 where water fills its pores and else 0, and the share of the normal stress that grains
-    bear [-], shape [N, 3]; and grad p [Pa/m], shape [N, D]. Raises InputError for a saturated mass that begins without
-    a stress.
+    bear [-], shape [N, 3]; and grad p [Pa/m], shape [N, D]. near: of flows those that need it, which are beside
+    surfaces, [N]; all where absent. Raises InputError for a saturated mass that begins without a stress.
     """
     positions, cell = particles.positions, scene.domain.cell
     pressure, wet, share = np.zeros((3, len(positions)))
@@ -54,13 +55,28 @@ def initial_water(scene: Scene, particles: Particles) -> tuple[Floats, Floats]:
         whole, head = np.nan_to_num(stresses(scene, mass, positions[of_mass]))
         full = positions[of_mass, 1] < table(scene, mass, positions[of_mass][:, plan_axes(scene.dimension)])
         pore_pressure = np.where(full, np.maximum(head, 0.0), 0.0)
-        _, slope = gradient(partial(stresses, scene, mass), positions[of_mass], 0.5 * cell)
-        slopes[of_mass] = np.where(pore_pressure[:, None] > 0.0, slope, 0.0)
-        if not (scene.water or Water()).fixed:
+        fixed = (scene.water or Water()).fixed
+        sloping = np.ones(len(head), bool) if fixed or near is None else near[of_mass]
+        sloping = np.flatnonzero(of_mass)[sloping & (pore_pressure > 0.0)]
+        _, slopes[sloping] = gradient(partial(stresses, scene, mass), positions[sloping], 0.5 * cell)
+        if not fixed:
             pore_pressure = np.minimum(pore_pressure, whole)
         wet[of_mass], pressure[of_mass] = full, pore_pressure
         share[of_mass] -= np.divide(pore_pressure, whole, out=np.zeros_like(whole), where=whole > 0.0)
     return np.stack([pressure, wet, share], axis=1), slopes
+
+
+def from_wall(scene: Scene, positions: Floats, side: int) -> Floats:
+    """Distance of `positions` [m], [N, D], from a side of the box, 0 to 2 D - 1 for x-, x+, y-, ... [m], [N]."""
+    x = positions[:, side // 2]
+    return np.asarray(np.maximum(scene.domain.size[side // 2] - x if side % 2 else x, 0.0))
+
+
+def near_walls(scene: Scene, positions: Floats) -> NDArray[np.bool_]:
+    """Which of `positions` [m], [N, D], are so near a side of the box that water presses on it, [N]."""
+    width = CONTACT_WIDTH * scene.domain.cell
+    away = np.stack([from_wall(scene, positions, side) for side in range(2 * scene.dimension)])
+    return np.asarray(away.min(axis=0) < width)
 
 
 def stresses(scene: Scene, mass: Mass, positions: Floats) -> Floats:

@@ -10,7 +10,7 @@ lining, there is no wall: its nodes are the solid's (`mpm.solids.obstacles`).
 
 import taichi as ti
 
-from mpm.arrays.access import add
+from mpm.arrays.access import add, minimum
 from mpm.arrays.layout import PADDING, Offset, Setting, Worker
 from mpm.solids.face_lookup import SKIN, entry_of
 from mpm.solids.terrain import column_height
@@ -30,6 +30,13 @@ def after_contact(v, normal, friction):
     """Velocity `v` after a surface with the unit `normal`, into which it points, has stopped it; shape [D] each."""
     into = v.dot(normal)
     return with_friction(v - into * normal, 0.0 - friction * into)
+
+
+@ti.func
+def contact_delta(d, width):
+    """delta_h [1/m] of `mpm.physics.contact` at the distance `d` [m] from a surface, not negative."""
+    q = minimum(d / width, 1.0)
+    return 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
 
 
 @ti.func

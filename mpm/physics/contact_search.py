@@ -1,10 +1,10 @@
 """The face that each particle is nearest to, and the way of a step that ends where it meets one.
 
 No particle passes a face: a displacement that crosses one ends there and goes on along it. Of a block, all lanes at
-once, first those particles are done whose nearest face is the same as before (`follow_faces`); of the others each
-follows the edge that it is nearest to (`follow_edge`) or searches (`find_contact`). A terrain in 3D stands in no list:
-last its bed, of all lanes at once, takes the place of a face that is farther (`find_bed`), and what is in it is put
-out.
+once, first those particles are done whose nearest face is the same as before (`follow_faces`). Each of the others is
+stopped at that face (`stop_at_face`), follows the edge that it is nearest to (`follow_edge`) or searches
+(`find_contact`). A terrain in 3D stands in no list: last its bed, of all lanes at once, takes the place of a face that
+is farther (`find_bed`), and what is in it is put out.
 """
 
 import taichi as ti
@@ -22,9 +22,8 @@ from mpm.arrays.access import (
     vectors,
 )
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker
-from mpm.physics.boundary import add_impulse, after_contact
+from mpm.physics.boundary import add_impulse, after_contact, contact_delta
 from mpm.physics.contact import contact_at
-from mpm.physics.pore_pressure import contact_delta
 from mpm.solids.face_lookup import (
     TINY,
     cell_of,
@@ -82,13 +81,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
                 for lane in range(lanes):
                     bound = arrays.scratch_lanes[(scratch + features.scratch.push) * lanes + lane]
                     if bound < nearby:
-                        free = arrays.lanes[contact_at(block, Contact.FREE, arrays) * lanes + lane]
-                        if free > 0.0:
-                            stop_at_face(block, scratch, lane, worker, scene, arrays)
-                        elif free < 0.0 and bound > 0.0:
-                            follow_edge(block, lane, scene, arrays)
-                        else:
-                            find_contact(block, scratch, lane, bound, worker, scene, arrays)
+                        keep_out(block, scratch, lane, bound, worker, scene, arrays)
         if ti.static(features.terrain):
             if arrays.offsets[scene, Offset.TERRAIN] > 0:
                 find_bed(block, scratch, nearby, worker, scene, arrays)
@@ -213,6 +206,20 @@ def turn_traction(block, arrays: ti.template()):
     pressed, touching = dot(q, normal), arrays.state[contact + Contact.DELTA] > 0.0
     for k in ti.static(range(size)):
         arrays.state[contact + Contact.NORMAL + size + k] = ti.select(touching, q[k] - pressed * normal[k], 0.0)
+
+
+@ti.func
+def keep_out(block, scratch, lane, bound, worker, scene, arrays: ti.template()):
+    """Contact of the particle in `lane` of a block, which does not follow the inside of a face; bound: its distance is
+    no less [m].
+    """
+    free = arrays.lanes[contact_at(block, Contact.FREE, arrays) * arrays.features.lanes + lane]
+    if free > 0.0:
+        stop_at_face(block, scratch, lane, worker, scene, arrays)
+    elif free < 0.0 and bound > 0.0:
+        follow_edge(block, lane, scene, arrays)
+    else:
+        find_contact(block, scratch, lane, bound, worker, scene, arrays)
 
 
 @ti.func

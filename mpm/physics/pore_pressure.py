@@ -5,9 +5,9 @@
 with the effective stress sigma', the outward normal n of a surface and the pressure p_f at the foot of a particle whose
 distance is d. Water presses on every surface by the delta of `mpm.physics.contact` in place of p delta: exact for a
 pressure that grows evenly. By p itself, which acts 0.3 cells away on average, it would bear 0.3 rho g dx too little of
-a layer, the grains that much more, and where these bear a fifth of the weight of five cells, they would rub by a third
-too much. A wall of the box takes this traction of the water, too: what its nodes stop is then what grains press on it,
-and on that alone it rubs.
+a layer, the grains that much more, and where these bear a fifth of the weight of five cells, they would rub by a
+quarter too much. A wall of the box takes this traction of the water, too: what its nodes stop is then what grains press
+on it, and on that alone it rubs.
 
 Forces have max(p, -u) in place of p, with the suction u that water bears (`mpm.physics.water`).
 """
@@ -17,7 +17,7 @@ import taichi as ti
 from datasets.scene.water import CAVITATION
 from mpm.arrays.access import add, clamp, dot, maximum, minimum, no_overflow, over_lanes, present, vectors
 from mpm.arrays.layout import Contact, Offset, Setting, Worker
-from mpm.physics.boundary import is_wall
+from mpm.physics.boundary import contact_delta, is_wall
 
 COVERED = 0.5
 """Component of a solid's normal across a wall from which on it covers the wall for the particles that touch it."""
@@ -35,6 +35,15 @@ def suction_held(stress: ti.template(), held: ti.template()):
 
 
 @ti.func
+def felt_pressure(block, stress: ti.template(), rise, arrays: ti.template()):
+    """max(p, -u) [Pa] of the water of a block whose grains have `stress`, at places where p is higher by `rise`."""
+    features = arrays.features
+    first = no_overflow(block * features.state.size)
+    p = arrays.state[first + features.state.pore_pressure] + arrays.state[first + features.state.volume_strain]
+    return maximum(p + rise, 0.0 - suction_held(stress, features.dilates))
+
+
+@ti.func
 def total_stress(block, towards: ti.template(), arrays: ti.template()):
     """Stress [Pa] of the particles of a block, that of the grains less the pore pressure; a list of vectors.
 
@@ -44,20 +53,13 @@ def total_stress(block, towards: ti.template(), arrays: ti.template()):
     first = no_overflow(block * features.state.size)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     if ti.static(features.wet):
-        p = arrays.state[first + features.state.pore_pressure] + arrays.state[first + features.state.volume_strain]
+        rise = 0.0 * stress[0]
         if ti.static(len(towards) > 0):
-            p = p + dot(vectors(arrays.state, first + features.state.pressure_slope, features.dimension), towards)
-        p = maximum(p, 0.0 - suction_held(stress, features.dilates))
+            rise = dot(vectors(arrays.state, first + features.state.pressure_slope, features.dimension), towards)
+        p = felt_pressure(block, stress, rise, arrays)
         return [stress[k] - p if k < 3 else stress[k] for k in ti.static(range(features.stresses))]
     else:
         return stress
-
-
-@ti.func
-def contact_delta(d, width):
-    """delta_h [1/m] of the distance `d` [m], not negative."""
-    q = minimum(d / width, 1.0)
-    return 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
 
 
 @ti.func
@@ -82,10 +84,9 @@ def wall_pressure(block, side: ti.template(), scene, arrays: ti.template()):
     features, inwards = arrays.features, ti.static(1.0 - 2.0 * (side % 2))
     first, axis = no_overflow(block * features.state.size), ti.static(side // 2)
     away = from_wall(block, side, scene, arrays)
-    p = arrays.state[first + features.state.pore_pressure] + arrays.state[first + features.state.volume_strain]
-    p = p - inwards * away * arrays.state[first + features.state.pressure_slope + axis]
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
-    p = maximum(p, 0.0 - suction_held(stress, features.dilates)) * arrays.state[first + features.state.saturated]
+    rise = (0.0 - inwards) * away * arrays.state[first + features.state.pressure_slope + axis]
+    p = felt_pressure(block, stress, rise, arrays) * arrays.state[first + features.state.saturated]
     pressure = contact_delta(away, arrays.settings[scene, Setting.CONTACT_WIDTH]) * p
     if ti.static(features.contact):
         contact = first + features.state.contacts
