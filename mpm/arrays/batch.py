@@ -44,10 +44,10 @@ from mpm.arrays.properties import (
 )
 from mpm.initial.barriers import held_tables
 from mpm.initial.slope import begins_as_slope
-from mpm.initial.water import initial_water, near_walls
+from mpm.initial.water import initial_water
 from mpm.output.recording import ALL, Recording, window_frames
 from mpm.solids.bed import bed_arrays
-from mpm.solids.obstacles import initial_contacts, obstacles_of
+from mpm.solids.obstacles import initial_contacts, near_walls, obstacles_of
 
 Array = NDArray[Any]
 PORTION = 2**18
@@ -249,13 +249,10 @@ class Batch:
                 near = near_walls(scene, particles.positions)
                 if features.contact:
                     near |= state[:, features.state.contacts + Contact.DELTA].ravel()[:count] > 0.0
-                water = initial_water(scene, particles, near)
-                pores, slope = water
+                pores, slope = water = initial_water(scene, particles, near)
                 put(features.state.pore_pressure, pores[:, : 1 + features.wet])
-                if features.seeps:
-                    put(features.state.seepage, -slope)
-                else:
-                    put(features.state.pressure_slope, slope)
+                place = features.state.seepage if features.seeps else features.state.pressure_slope
+                put(place, -slope if features.seeps else slope)
             rounded = particles.positions.astype(state.dtype)
             stress, shear = initial_tractions(scene, particles, rounded, water)
             put(features.state.stress, stress)

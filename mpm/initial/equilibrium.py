@@ -16,10 +16,9 @@ from mpm.arrays.layout import PADDING, Property
 from mpm.arrays.properties import CONTACT_WIDTH, properties_of
 from mpm.initial.barriers import barriers
 from mpm.initial.grid_operators import ContactOperator, clings, gradient_matrices
-from mpm.initial.water import from_wall
 from mpm.laws import law_of
 from mpm.physics.pore_pressure import COVERED
-from mpm.solids.obstacles import contact_delta, covered_at
+from mpm.solids.obstacles import contact_delta, covered_at, from_wall
 
 Floats = NDArray[np.float64]
 

@@ -30,7 +30,6 @@ from datasets.scene import TOLERANCE, Mass, Scene, keyed
 from datasets.scene.particles import Particles
 from datasets.scene.parts import Water
 from datasets.scene.water import DENSITY
-from mpm.arrays.properties import CONTACT_WIDTH
 from mpm.initial.slope import begins_as_slope, ground_beneath, mass_above, sides, within
 
 Floats = NDArray[np.float64]
@@ -64,19 +63,6 @@ def initial_water(scene: Scene, particles: Particles, near: NDArray[np.bool_] | 
         wet[of_mass], pressure[of_mass] = full, pore_pressure
         share[of_mass] -= np.divide(pore_pressure, whole, out=np.zeros_like(whole), where=whole > 0.0)
     return np.stack([pressure, wet, share], axis=1), slopes
-
-
-def from_wall(scene: Scene, positions: Floats, side: int) -> Floats:
-    """Distance of `positions` [m], [N, D], from a side of the box, 0 to 2 D - 1 for x-, x+, y-, ... [m], [N]."""
-    x = positions[:, side // 2]
-    return np.asarray(np.maximum(scene.domain.size[side // 2] - x if side % 2 else x, 0.0))
-
-
-def near_walls(scene: Scene, positions: Floats) -> NDArray[np.bool_]:
-    """Which of `positions` [m], [N, D], are so near a side of the box that water presses on it, [N]."""
-    width = CONTACT_WIDTH * scene.domain.cell
-    away = np.stack([from_wall(scene, positions, side) for side in range(2 * scene.dimension)])
-    return np.asarray(away.min(axis=0) < width)
 
 
 def stresses(scene: Scene, mass: Mass, positions: Floats) -> Floats:

@@ -343,6 +343,19 @@ def contact_delta(distance: Floats, width: float) -> Floats:
     return np.asarray(2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q)))
 
 
+def from_wall(scene: Scene, positions: Floats, side: int) -> Floats:
+    """Distance of `positions` [m], [N, D], from a side of the box, 0 to 2 D - 1 for x-, x+, y-, ... [m], [N]."""
+    x = positions[:, side // 2]
+    return np.asarray(np.maximum(scene.domain.size[side // 2] - x if side % 2 else x, 0.0))
+
+
+def near_walls(scene: Scene, positions: Floats) -> NDArray[np.bool_]:
+    """Which of `positions` [m], [N, D], are so near a side of the box that water presses on it, [N]."""
+    width = CONTACT_WIDTH * scene.domain.cell
+    away = np.stack([from_wall(scene, positions, side) for side in range(2 * scene.dimension)])
+    return np.asarray(away.min(axis=0) < width)
+
+
 def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Contact of particles at `positions` [m], shape [N, D], as the kernel finds it: what `Contact` lists, [N, ...]."""
     count, dimension = positions.shape
