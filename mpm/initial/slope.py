@@ -1,4 +1,5 @@
-"""The stress in which flat masses without `k0` begin on inclined ground: that of an infinite slope.
+"""The stress in which flat masses without `k0` begin on inclined ground, and from which "elastic" ones are balanced:
+that of an infinite slope.
 
 Free of stress a layer would fall by what gravity compresses it, bounce, and slide while its pressure on the ground
 swings. With the unit normal n of the ground, depth d = (depth below the top) n_y normal to it, and g = g_n n + g_t,
@@ -58,9 +59,10 @@ def begins_as_slope(scene: Scene, mass: Mass) -> bool:
 
 
 def lies_flat(scene: Scene, mass: Mass) -> bool:
-    """Whether `mass`, of friction and without `k0`, is a sheet and no column."""
+    """Whether `mass`, of friction and without a number for `k0`, is a sheet and no column."""
     frictional = scene.material_of(mass).law == MOHR_COULOMB and mass.kind not in ("mesh", INFLOW)
-    if not frictional or mass.k0 is not None or mass.angular_velocity is not None or scene.gravity <= 0.0:
+    held = isinstance(mass.k0, float) or mass.release is not None
+    if not frictional or held or mass.angular_velocity is not None or scene.gravity <= 0.0:
         return False
     tall = FLAT * height(scene, mass)
     return all(

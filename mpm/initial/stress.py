@@ -5,7 +5,8 @@ own material's and that of the masses stacked on it,
 
     sigma_yy = -q,   sigma_xx = sigma_zz = -K0 q            (tension positive, y normal to the floor)
 
-and one that is "elastic" from nothing. That is in equilibrium in the continuum, not on the grid: with particles that
+and one that is "elastic" with the stress of an infinite slope where it lies flat on inclined ground
+(`mpm.initial.slope`), else from nothing. That is in equilibrium in the continuum, not on the grid: with particles that
 are jittered the nodal forces of `mpm.physics.transfer` miss the weight by as much as the weight itself.
 
 **Correction.** Find the smallest change of stress, in the elastic energy, that closes the gap. It derives from nodal
@@ -75,6 +76,8 @@ def initial_tractions(
         if water is not None:
             problem.carry(scene, rounded[numbers], water[0][numbers, 0], water[1][numbers])
             guess = guess * water[0][:, 2, None, None]
+        guess[chosen] += stress[chosen]
+        problem.contact.traction = shear[numbers[problem.contact.touching]]
         stress[chosen] = guess[chosen]
         boxes = [mass.k0 is not None and not clings(mass) for mass in scene.masses]
         alone = all(box or mass.k0 is None for box, mass in zip(boxes, scene.masses, strict=True))

@@ -17,7 +17,6 @@ the effective stress of its surface is 0 also beneath a pool, which adds rho_w g
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -77,7 +76,7 @@ def stresses(scene: Scene, mass: Mass, positions: Floats) -> Floats:
     _, top = extent(scene, mass, plan)
     across = np.full(len(y), down)
     # Its ground is the same where a stress has been asked for.
-    if begins_as_slope(scene, replace(mass, k0=None) if mass.k0 == "elastic" else mass):
+    if begins_as_slope(scene, mass):
         normal, _ = ground_beneath(scene, mass, positions)
         across = np.abs(normal @ np.array(scene.gravity_vector)) * normal[:, 1]
         load = across / normal[:, 1] * mass_above(scene, mass, positions)

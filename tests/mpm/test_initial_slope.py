@@ -82,6 +82,19 @@ def test_a_layer_slides_from_rest_as_a_block(name: str) -> None:
     assert moved.mean() == pytest.approx(exact, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    "how", ["slope_deg", *(pytest.param(how, marks=pytest.mark.slow) for how in ("terrain", "3D"))]
+)
+def test_an_elastic_layer_slides_from_the_stress_of_a_slope(how: str) -> None:
+    """From no stress 0.1 of the weight was unbalanced, and a layer had slid by 1.28 times the exact way in 1 s."""
+    scene = layer(how, material=dataclasses.replace(SOIL, friction_deg=25.0), duration=1.0)
+    scene = dataclasses.replace(scene, masses=(dataclasses.replace(scene.masses[0], k0="elastic"),))
+    with pytest.warns(UserWarning, match=r"0\.0\d+ of the weight is unbalanced"):
+        flow = simulate(scene, threads=1)
+    moved = middle_displacement(flow) @ downhill(scene)
+    assert moved.mean() == pytest.approx(SlidingBlock.of_scene(layer()).displacement(scene.duration), rel=0.15)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("foot", [0.0, 0.3])
 def test_between_smooth_solids_the_ground_rubs_nearly_whole(foot: float) -> None:
