@@ -18,7 +18,7 @@ from tqdm import tqdm
 from datasets.errors import WorkFailed
 from datasets.files import read_json, write_json
 from datasets.flow.array_files import FrameWriter
-from datasets.processes import end_with_parent
+from datasets.processes import end_with_parent, without_main
 from datasets.scene import Scene
 from inverse.answer import peak_memory_mib
 from mpm import Recording, simulate
@@ -71,7 +71,8 @@ def isolated(work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
 
     What it raises is raised here; WorkFailed where the system ended it.
     """
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent) as pool:
+    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent)
+    with without_main(), pool:
         try:
             return pool.submit(work, *args, **kwargs).result()
         except BrokenProcessPool:
