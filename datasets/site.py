@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from datasets.command_line import run
 from datasets.errors import naming, require
-from datasets.exchange.map_box import largest, whole_cells
+from datasets.exchange.map_box import ROUNDING, largest, whole_cells
 from datasets.files import write_text
 from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.grid_field import Floats
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 REACH = 0.75
 """Slope of the energy line that bounds the box over the coefficient of friction: fronts run beyond a block's place."""
+HOLELESS = ".dem.tif"
+"""Ending of the raster with its holes filled, beside the scene."""
 THICKNESS = ("thickness", "d0")
 """Attributes of a polygon that may say how thick it is [m]."""
 PARTICLES, COLUMNS = 3.0e5, 1.0e7
@@ -48,6 +50,8 @@ AROUND = 4
 """Cells of ground around what is reached."""
 OVERLAP = 1.0e-3
 """Share of the area of a release that two polygons have in common, from which on it is said."""
+WITHIN = 0.5 - 1.0e-6
+"""Half a cell of the raster, less what rounding adds to a polygon along its edge."""
 TRAVEL = 4.0
 """Simulated time over that in which the largest speed reaches the end of the box."""
 FRAMES = 100
@@ -97,15 +101,23 @@ def site(
         )
         warnings.warn(said, stacklevel=2)
     lower, upper = reached(raster, covered, top, slope)
+    lower[::2], upper[::2] = np.minimum(lower[::2], taken.bounds[:2]), np.maximum(upper[::2], taken.bounds[2:])
     volume = float(covered.sum()) * math.prod(raster.spacing) * max(thick)
     plan = float(np.prod((upper - lower)[::2]))
-    few = max(2.0 * (volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(plan / COLUMNS))
-    edge = cell or round_up(max(max(thick) / ACROSS, few))
+    # A layer thinner than a particle's place is one particle thick.
+    few = 2.0 * max((volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(taken.area / PARTICLES))
+    wanted = min(max(thick) / ACROSS, math.sqrt(taken.area) / ACROSS)
+    edge = cell or round_up(max(wanted, few, math.sqrt(plan / COLUMNS)))
     beside = AROUND * edge * np.array([1.0, 0.0, 1.0])
     upper[1] += max(largest(mass["thickness"]) for mass in masses)
     # Posts of the raster stand half a spacing inside its edge.
     ends = [(float(axis[0]), float(axis[-1])) for axis in (raster.x, raster.z)]
     domain = whole_cells(lower - beside, upper + beside, edge, ends, "--cell")
+    for low, high, axis in zip(taken.bounds[:2], taken.bounds[2:], (0, 2), strict=True):
+        start, end = domain["origin"][axis], domain["origin"][axis] + domain["size"][axis]
+        got = f"{low:.10g} to {high:.10g}, where cells of {edge:g} m on the raster lie from {start:.10g} to {end:.10g}"
+        inside = start - ROUNDING <= low and high <= end + ROUNDING
+        require(inside, "--release", "polygons that lie on the raster, with ground around them", got)
     return {
         "material": {"friction_deg": internal_friction},
         "open_sides": ["x-", "x+", "z-", "z+"],
@@ -144,7 +156,7 @@ def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
 def layer(
     raster: "Raster", polygon: shapely.Polygon, thickness: "float | Raster", vertical: bool
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
-    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster within it or beside it.
+    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster whose cells it meets.
 
     thickness: [m], a number, or a raster in whose cells the mass then has it.
     """
@@ -155,7 +167,9 @@ def layer(
         require(bool(within), "--release", "polygons that lie on the raster", got)
     parts, inside = beside(raster, polygon), np.zeros(raster.values.shape, bool)
     x, z = np.meshgrid(raster.x[parts[0]], raster.z[parts[1]], indexing="ij")
-    inside[parts] = shapely.intersects_xy(polygon.buffer(0.5 * max(raster.spacing)), x, z)
+    half_x, half_z = (WITHIN * spacing for spacing in raster.spacing)
+    shapely.prepare(polygon)
+    inside[parts] = shapely.intersects(polygon, shapely.box(x - half_x, z - half_z, x + half_x, z + half_z))
     holes = int(np.isnan(raster.values[inside]).sum())
     require(holes == 0, "--release", "ground beneath all of it", f"{holes} posts of the raster without data")
     mass: dict[str, Any] = {"kind": "layer", "outline": [list(place) for place in polygon.exterior.coords[:-1]]}
@@ -184,13 +198,32 @@ def beside(raster: "Raster", polygon: shapely.Polygon) -> tuple[slice, slice]:
 
 
 def steepness(raster: "Raster", x: Floats, z: Floats) -> Floats:
-    """1 / cos(slope) at places x, z [m], shape [X, Z]: central differences at the posts, linear between; 1 in holes."""
+    """1 / cos(slope) at places x, z [m], shape [X, Z]: central differences at the posts, one-sided beside holes and at
+    the edge, linear between; in holes that of the nearest post.
+    """
     from scipy.ndimage import map_coordinates
 
-    along, across = np.gradient(raster.values, *raster.spacing)
-    steep = np.nan_to_num(np.sqrt(1.0 + along**2 + across**2), nan=1.0)
+    slopes = [slope_along(raster.values, axis, spacing) for axis, spacing in enumerate(raster.spacing)]
+    steep = filled(np.where(np.isnan(raster.values), np.nan, np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)), raster)
     places = [(at - own[0]) / step for at, own, step in zip((x, z), (raster.x, raster.z), raster.spacing, strict=True)]
     return np.asarray(map_coordinates(steep, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"))
+
+
+def slope_along(values: Floats, axis: int, spacing: float) -> Floats:
+    """Mean of the slopes to the two neighbours of a post along an axis, [X, Z]: of those that there are, else 0."""
+    none = np.full_like(np.take(values, [0], axis), np.nan)
+    slope = np.diff(values, axis=axis) / spacing
+    both = np.stack([np.concatenate([none, slope], axis), np.concatenate([slope, none], axis)])
+    return np.asarray(np.nansum(both, axis=0) / np.maximum(np.isfinite(both).sum(axis=0), 1))
+
+
+def filled(values: Floats, raster: "Raster") -> Floats:
+    """`values` at the posts of a raster [X, Z], holes with those of the nearest posts."""
+    from scipy.ndimage import distance_transform_edt
+
+    holes = np.isnan(values)
+    nearest = distance_transform_edt(holes, sampling=raster.spacing, return_distances=False, return_indices=True)
+    return np.asarray(values[tuple(nearest)])
 
 
 def reached(raster: "Raster", release: NDArray[np.bool_], top: float, slope: float) -> tuple[Floats, Floats]:
@@ -209,21 +242,30 @@ def reached(raster: "Raster", release: NDArray[np.bool_], top: float, slope: flo
 
 def without_holes(raster: "Raster", domain: dict[str, Any]) -> Floats | None:
     """The values [X, Z] with those of the nearest posts in holes; None where no hole lies in the box of a scene."""
-    from scipy.ndimage import distance_transform_edt
-
-    holes = np.isnan(raster.values)
     sides = zip((raster.x, raster.z), raster.spacing, domain["origin"][::2], domain["size"][::2], strict=True)
     within = [(axis > low - step) & (axis < low + length + step) for axis, step, low, length in sides]
-    if not (holes & np.logical_and.outer(*within)).any():
-        return None
-    nearest = distance_transform_edt(holes, sampling=raster.spacing, return_distances=False, return_indices=True)
-    return np.asarray(raster.values[tuple(nearest)])
+    return filled(raster.values, raster) if (np.isnan(raster.values) & np.logical_and.outer(*within)).any() else None
 
 
 def round_up(length: float) -> float:
     """The next length of two digits [m]."""
     unit = 10.0 ** (math.floor(math.log10(length)) - 1)
     return float(f"{math.ceil(length / unit - 1.0e-9) * unit:.6g}")
+
+
+def least_of(given: float | Path, flag: str, expected: str, *, above: float) -> float:
+    """The least of a coefficient, or of a raster of it. Raises InputError unless it lies above a number."""
+    from datasets.exchange.rasters import read_raster
+
+    if not isinstance(given, Path):
+        require(above < given < math.inf, flag, expected, given)
+        return given
+    with naming(given, flag), warnings.catch_warnings():
+        # What is to be said of the file is said where the scene reads it.
+        warnings.simplefilter("ignore")
+        least = float(np.nanmin(read_raster(given, coefficients=True).values))
+        require(above < least, "", expected, least)
+    return least
 
 
 def command(
@@ -253,16 +295,17 @@ def command(
         cell: Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
     """
     from datasets.exchange.rasters import read_raster, same_system, write_raster
-    from datasets.exchange.vectors import read_polygons
+    from datasets.exchange.vectors import LAYER, read_polygons
 
-    if isinstance(friction, Path):
-        with naming(friction):
-            least = float(np.nanmin(read_raster(friction, coefficients=True).values, initial=math.inf))
-    else:
-        least = friction
-    require(0.0 <= least < math.inf, "--friction", "a coefficient of at least 0", least)
-    brakes = turbulence is None or isinstance(turbulence, Path) or 0.0 < turbulence < math.inf
-    require(brakes, "--turbulence", "a coefficient above 0 m/s^2", turbulence)
+    for path in (path for path in (dem, release, thickness, friction, turbulence) if isinstance(path, Path)):
+        given = Path(str(path).partition(LAYER)[0]).resolve()
+        kept = given not in (out.resolve(), out.with_suffix(HOLELESS).resolve())
+        require(kept, "--out", f"a name beside which {path} stays as it is", out)
+    least = least_of(friction, "--friction", "a coefficient of at least 0", above=-sys.float_info.min)
+    if turbulence is not None:
+        least_of(turbulence, "--turbulence", "a coefficient above 0 m/s^2", above=0.0)
+    strong = 0.0 < internal_friction < 90.0
+    require(strong, "--internal-friction", "an angle above 0 and below 90 degrees", internal_friction)
     require(cell is None or 0.0 < cell < math.inf, "--cell", "a length above 0 m", cell)
     with naming(dem):
         raster = read_raster(dem)
@@ -270,6 +313,8 @@ def command(
     if isinstance(thickness, Path):
         with naming(thickness, "--thickness"):
             thick = read_raster(thickness)
+            least_thick = float(np.nanmin(thick.values))
+            require(least_thick >= 0.0, "", "thicknesses of at least 0 m", least_thick)
             require(same_system(raster.crs, thick), "", f"the reference system of {dem}, {raster.crs}", thick.crs)
     with naming(release):
         features = read_polygons(release, raster.crs)
@@ -279,9 +324,10 @@ def command(
         table = site(raster, features, bed=bed, slope=REACH * least, **options)
     whole, terrain = without_holes(raster, table["domain"]), table["solids"][0]
     if whole is not None:
-        dem = out.with_suffix(".dem.tif")
-        even = math.isclose(*raster.spacing)
-        require(even, "", "ground without holes, or square cells, in which they can be filled", raster.spacing)
+        expected, got = "ground without holes, or square cells", " x ".join(f"{edge:g} m" for edge in raster.spacing)
+        with naming(dem):
+            require(math.isclose(*raster.spacing), "", expected, got)
+        dem = out.with_suffix(HOLELESS)
         write_raster(dem, whole, raster.spacing[0], raster.corner, raster.crs, "elevation, holes filled", "m")
         print(f"{dem}: the raster with its holes filled by the nearest posts; nothing should flow there")
     paths = {name: value for name, value in (bed | {"file": dem}).items() if isinstance(value, Path)}

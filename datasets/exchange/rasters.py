@@ -88,6 +88,7 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
         georeferenced = not file.transform.is_identity
         transform, crs, bands, unit = file.transform, system_of(file), file.count, file.units[0]
         scale, offset = float(file.scales[0]), float(file.offsets[0])
+        require(not file.dtypes[0].startswith("complex"), "", "real numbers", file.dtypes[0])
         masked = file.read(1, masked=True).astype(np.float64)
     require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
     require(bands == 1, "", "a raster of one band", bands)

@@ -58,7 +58,8 @@ def read_polygons(path: Path, crs: str | None) -> list[Feature]:
 def read_bounds(path: Path, crs: str | None) -> tuple[float, float, float, float]:
     """West, south, east and north end [m] of all polygons, lines and points of a file (`read_shapes`)."""
     with naming(path):
-        bounds = shapely.total_bounds([place for place, *_ in read_shapes(path, crs, "polygons, lines or points")])
+        shapes = [place for place, *_ in read_shapes(path, crs, "polygons, lines or points")]
+        bounds = shapely.total_bounds(shapes) if shapes else np.full(4, np.nan)
         require(bool(np.isfinite(bounds).all()), "", "polygons, lines or points", "none")
     west, south, east, north = map(float, bounds)
     return west, south, east, north
@@ -96,6 +97,8 @@ def shapes_of(
     with reading(path, what):
         described, _, shapes, values = pyogrio.raw.read(path.resolve(), layer=layer, force_2d=True)
         places = shapely.from_wkb(shapes)
+    if len(places) == 0:
+        return
     system, bounds = described["crs"], np.abs(shapely.total_bounds(places))
     degrees = system is not None and CRS.from_user_input(system).is_geographic
     unnamed = crs is None and path.suffix.lower() in (".geojson", ".json")

@@ -26,21 +26,26 @@ BED = {"thickness": None, "vertical": False, "bed": {"friction": 0.4}, "slope": 
 FIELD = shapely.box(EAST + 30.0, NORTH + 80.0, EAST + 70.0, NORTH + 120.0)
 
 
-def dem(folder: Path, *, hole: bool = False) -> Path:
-    """500 x 200 m in cells of 5 m: a plane that falls by 30 degrees to the east over 300 m, then the level."""
+def dem(folder: Path, *, hole: bool = False, around: bool = False) -> Path:
+    """500 x 200 m in cells of 5 m: a plane that falls by 30 degrees to the east over 300 m, then the level.
+
+    around: without data to the north, the south and the west of the FIELD.
+    """
     x = 5.0 * (np.arange(100) + 0.5)
     rows = np.tile(UP + math.tan(SLOPE) * np.maximum(300.0 - x, 0.0), (40, 1))
     if hole:
         rows[:4, :8] = -9999.0
+    if around:
+        rows[:16], rows[24:], rows[:, :6] = -9999.0, -9999.0, -9999.0
     place = Affine(5.0, 0.0, EAST, 0.0, -5.0, NORTH + 200.0)
     write_raster(folder / "dem.tif", rows, "EPSG:2056", transform=place)
     return folder / "dem.tif"
 
 
-def made(folder: Path, *flags: str, hole: bool = False, shape: shapely.Geometry = FIELD) -> Scene:
+def made(folder: Path, *flags: str, shape: shapely.Geometry = FIELD, **holes: bool) -> Scene:
     """The scene that the command writes."""
     release = written(folder / "release.gpkg", shape)
-    arguments = [str(dem(folder, hole=hole)), "--release", str(release), "--out", str(folder / "new" / "site.toml")]
+    arguments = [str(dem(folder, **holes)), "--release", str(release), "--out", str(folder / "new" / "site.toml")]
     assert run(command, "site", [*arguments, *flags]) == 0
     return read_scene(folder / "new" / "site.toml")
 
@@ -81,6 +86,36 @@ def test_several_polygons_and_holes_of_the_raster(tmp_path: Path) -> None:
     scene = made(tmp_path, "--cell", "2", hole=True, shape=pair)
     assert mass_volumes(scene) * math.cos(SLOPE) / 1.5 == pytest.approx([1600.0, 400.0], rel=1e-3)
     assert (tmp_path / "new" / "site.dem.tif").is_file()
+
+
+def test_the_slope_beside_holes_is_that_of_the_ground(tmp_path: Path) -> None:
+    """As level, the posts beside them would take 1 - cos(slope) of their part of the release."""
+    scene = made(tmp_path, "--cell", "2", around=True)
+    assert mass_volumes(scene)[0] == pytest.approx(1.5 / math.cos(SLOPE) * 1600.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("edge", "thick"), [(0.3, 1.5), (400.0, 0.01)])
+def test_releases_smaller_than_a_cell_of_the_raster_and_thinner_than_a_particle(
+    tmp_path: Path, edge: float, thick: float
+) -> None:
+    """The corner of four cells lies in none of half their size; and particles are no more than the page says."""
+    rows = np.tile(UP - 0.3 * 25.0 * np.arange(40), (40, 1))
+    write_raster(tmp_path / "dem.tif", rows, "EPSG:2056", transform=Affine(25.0, 0.0, EAST, 0.0, -25.0, NORTH + 1000.0))
+    spot = shapely.box(*(base + 500.0 + side * edge for side in (-0.5, 0.5) for base in (EAST, NORTH)))
+    features = read_polygons(written(tmp_path / "release.gpkg", spot), "EPSG:2056")
+    table = site(read_raster(tmp_path / "dem.tif"), features, **BED | {"thickness": thick, "cell": None, "slope": 0.35})
+    (mass,), cell = table["masses"], table["domain"]["cell"]
+    assert np.mean(mass["thickness"]) == pytest.approx(thick * math.hypot(1.0, 0.3), rel=1e-4)
+    assert edge**2 / (0.5 * cell) ** 2 < 3.0e5
+
+
+@pytest.mark.parametrize("name", ["site.dem.tif", "site.toml"])
+def test_no_input_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    release, ground = written(tmp_path / "release.gpkg", FIELD), dem(tmp_path, hole=True).rename(tmp_path / name)
+    before = ground.read_bytes()
+    said = refused_by(capsys, command, ground, "--release", release, "--out", tmp_path / "site.toml")
+    assert f"--out: expected a name beside which {ground} stays as it is" in said
+    assert ground.read_bytes() == before
 
 
 def test_a_thickness_by_raster(tmp_path: Path) -> None:
@@ -147,6 +182,9 @@ def test_no_layer_lies_in_the_holes_of_a_release(tmp_path: Path) -> None:
 
 def test_what_makes_no_site_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ground, out = dem(tmp_path), tmp_path / "site.toml"
+    place = Affine(9.0, 0.0, EAST, 0.0, -9.0, NORTH)
+    for name, least in (("none.asc", 0.0), ("less.asc", -1.0)):
+        write_raster(tmp_path / name, np.array([[2.0, least]]), None, transform=place)
     far = shapely.box(EAST - 30.0, NORTH, EAST + 10.0, NORTH + 20.0)
     for shape, flags, said in (
         (far, [], "polygons that lie on the raster"),
@@ -156,9 +194,15 @@ def test_what_makes_no_site_is_one_line(tmp_path: Path, capsys: pytest.CaptureFi
         (FIELD, ["--turbulence", "0"], "--turbulence: expected a coefficient"),
         (FIELD, ["--cell", "0"], "--cell: expected a length above 0 m"),
         (FIELD, ["--cell", "900"], "--cell: expected cells that fit"),
-        (FIELD, ["--internal-friction", "95"], "material.friction_deg"),
+        (FIELD, ["--internal-friction", "95"], "--internal-friction: expected an angle above 0"),
+        (FIELD, ["--turbulence", tmp_path / "none.asc"], "none.asc: --turbulence: expected a coefficient above 0"),
+        (FIELD, ["--thickness", tmp_path / "less.asc"], "less.asc: --thickness: expected thicknesses of at least 0 m"),
+        (shapely.affinity.translate(FIELD, -30.0), [], "--release: expected polygons that lie on the raster, with"),
     ):
         release = written(tmp_path / "release.gpkg", shape)
         assert said in refused_by(capsys, command, ground, "--release", release, "--out", out, *flags)
         release.unlink()
+    (tmp_path / "none.geojson").write_text('{"type": "FeatureCollection", "features": []}')
+    said = refused_by(capsys, command, ground, "--release", tmp_path / "none.geojson", "--out", out)
+    assert "none.geojson: expected polygons, got none" in said
     assert not out.exists()
