@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Literal
 
 from datasets import command_line, files
-from datasets.errors import InputError, naming
+from datasets.errors import InputError, naming, require
 from datasets.exchange.vtk import write_vtk
-from datasets.flow.trajectory import Trajectory
+from datasets.flow.trajectory import read_trajectory, trajectory_file
 from datasets.scene.library import read_scene
 from gns import card
 from gns.library import model_path, shipped
@@ -44,10 +44,12 @@ def rollout(
 
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("expected a GPU that torch can use, there is none", key="--device")
+    kept = start is None or (out / "trajectory.npz").resolve() != trajectory_file(start).resolve()
+    require(kept, "--out", "a folder other than that of --start, whose frames stay", out)
     read = read_scene(scene)
     path = model_path(model or shipped(read))
     simulator = load(path)
-    frames = None if start is None else Trajectory.load(start)
+    frames = None if start is None else read_trajectory(start)
     # A run of the first frames alone is cut short; all else must agree.
     if frames is not None and dataclasses.replace(frames.scene, duration=read.duration) != read:
         raise InputError(f"expected the frames of {scene}, they are of another scene", where=str(start))

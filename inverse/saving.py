@@ -31,7 +31,9 @@ def save(result: Result, folder: Path | str) -> None:
     if result.fields:
         arrays = {f"{k}_{key}": values for k, field in enumerate(result.fields) for key, values in field.saved.items()}
         write_npz(folder / "field.npz", arrays)
-        write_scene(result.scene, folder / "scene.toml")
+        # Beside the problem `scene.toml` may be its own.
+        beside = folder.resolve() == result.problem.folder.resolve()
+        write_scene(result.scene, folder / ("answer.toml" if beside else "scene.toml"))
     write_json(folder / "result.json", result.as_json())
     write_text(folder / "report.md", report.markdown(result, folder, pictures.write(result, folder)))
 

@@ -76,6 +76,11 @@ def test_refusals(
     files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     spreading(31.0).save(tmp_path / "other.npz")
+    (tmp_path / "run").mkdir()
+    files["start"].rename(tmp_path / "run" / "trajectory.npz")
+    for start in (tmp_path / "run", tmp_path / "run" / "trajectory.npz"):
+        said = refused_by(capsys, rollout, files["scene"], "--out", tmp_path / "run", "--start", start)
+        assert "--out: expected a folder other than that of --start" in said
     deep = tmp_path / "deep.toml"
     write_scene(DEEP, deep)
     cases = [
