@@ -51,10 +51,13 @@ def runout(positions: Positions) -> float:
 
 
 def front(positions: Positions, volume: float | Volumes = 1.0) -> float:
-    """The x [m] that 99.5 % of the volume is behind, by a fit; volume: one for all or shape [N]."""
+    """The x [m] that 99.5 % of the volume is behind, by a fit, at most the runout; volume: one for all or shape [N].
+
+    Beyond a gap before a few particles the fit would lead out of the box.
+    """
     x = positions[:, 0].astype(np.float64)
     order = np.argsort(x)
-    return float((tail_weights(np.broadcast_to(volume, x.shape)[order]) * x[order]).sum())
+    return min(float((tail_weights(np.broadcast_to(volume, x.shape)[order]) * x[order]).sum()), float(x.max()))
 
 
 def extents(scene: Scene, positions: Positions, volume: float | Volumes) -> dict[str, Any]:

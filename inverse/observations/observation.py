@@ -242,4 +242,4 @@ def fitted_tail(values: Tensor, volumes: Tensor) -> Tensor:
     """The value that 99.5 % of the volume is behind, by a fit (`measures.front`), differentiable; both of shape [n]."""
     ordered, order = torch.sort(values.double())
     weights = measures.tail_weights(volumes.detach().double().numpy()[order.numpy()])
-    return (torch.from_numpy(weights) * ordered).sum()
+    return torch.minimum((torch.from_numpy(weights) * ordered).sum(), ordered[-1])

@@ -43,6 +43,16 @@ def test_the_front_of_a_tail_of_the_fitted_form_is_exact() -> None:
     assert measures.front(points) == pytest.approx(2.0 - 0.7 * math.sqrt(0.005) - 0.015, abs=1e-6)
 
 
+def test_the_front_is_behind_the_last_particle() -> None:
+    """Six of 400 far ahead: by the fit alone it was 3.27 m."""
+    fronts = []
+    for count in (1, 2, 4, 6, 8):
+        x = np.append(np.linspace(0.5, 1.0, 400 - count), np.full(count, 2.98))
+        fronts.append(measures.front(np.stack([x, 0.0 * x], axis=1)))
+    assert 1.0 < fronts[0] and fronts[-1] <= 2.98
+    assert np.diff(fronts).min() > -1.0e-9
+
+
 def test_the_front_moves_with_the_deposit_and_is_continuous() -> None:
     stream = np.random.default_rng(0)
     points, volume = stream.random((500, 3)), stream.uniform(0.5, 2.0, 500)
