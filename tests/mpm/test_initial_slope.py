@@ -95,6 +95,18 @@ def test_an_elastic_layer_slides_from_the_stress_of_a_slope(how: str) -> None:
     assert moved.mean() == pytest.approx(SlidingBlock.of_scene(layer()).displacement(scene.duration), rel=0.15)
 
 
+@pytest.mark.parametrize(("k0", "slides", "rises"), [("elastic", 1.0e-5, 1.0e-5), (None, 0.03, 0.01)])
+def test_a_cohesive_block_that_friction_holds(k0: str | None, slides: float, rises: float) -> None:
+    """From equilibrium it stays; free of stress it shakes, and comes off its ground a little more with each swing."""
+    soil = Material(friction_deg=40.0, cohesion=1.0e5, tension_cutoff=1.0e4, young=5.0e6)
+    block = Mass(lower=(0.5, 0.0), size=(0.4, 0.1), k0=k0)
+    flow = simulate(
+        scene_of(block, size=(3.0, 0.6), cell=0.02, slope_deg=30.0, floor_friction=0.9, material=soil, duration=1.0)
+    )
+    moved = (flow.positions[-1] - flow.positions[0]).mean(axis=0)
+    assert 0.0 <= moved[0] < slides and abs(moved[1]) < rises
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("foot", [0.0, 0.3])
 def test_between_smooth_solids_the_ground_rubs_nearly_whole(foot: float) -> None:
