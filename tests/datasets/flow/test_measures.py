@@ -49,7 +49,8 @@ def test_the_front_is_behind_the_last_particle() -> None:
     for count in (1, 2, 4, 6, 8):
         x = np.append(np.linspace(0.5, 1.0, 400 - count), np.full(count, 2.98))
         fronts.append(measures.front(np.stack([x, 0.0 * x], axis=1)))
-    assert 1.0 < fronts[0] and fronts[-1] <= 2.98
+    assert fronts[0] > 1.0
+    assert fronts[-1] <= 2.98
     assert np.diff(fronts).min() > -1.0e-9
 
 
