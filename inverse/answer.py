@@ -26,7 +26,7 @@ IDENTIFIABLE = 0.3
 UNIFORM = 0.475
 """The same of a uniform prior."""
 AT_BOUND = 0.02
-"""Distance from a bound, as a fraction of the range, at which an answer lies at it."""
+"""Distance from a bound, as a fraction of the range, at which parameters lie at it."""
 
 
 class Verdict(StrEnum):
@@ -136,13 +136,11 @@ class Combination:
         return self.half_width <= IDENTIFIABLE * min(1.0, self.prior / UNIFORM)
 
 
-def judge(problem: Problem, answers: Sequence[Answer], *, excluded: bool = False) -> Verdict:
-    """The verdict on the answers, in their order; excluded: no parameters between the bounds fit."""
+def judge(problem: Problem, answers: Sequence[Answer], *, unreachable: bool = False) -> Verdict:
+    """The verdict on the answers, in their order; unreachable: only parameters beyond the bounds would fit."""
     first = answers[0]
     if not first.confirmed:
-        share = problem.box.shares(first.parameters)
-        at_bound = bool(np.any((share < AT_BOUND) | (share > 1.0 - AT_BOUND)))
-        return Verdict.UNREACHABLE if excluded and at_bound else Verdict.UNCONFIRMED
+        return Verdict.UNREACHABLE if unreachable else Verdict.UNCONFIRMED
     return Verdict.AMBIGUOUS if len(answers) > 1 or unidentified(problem, first) else Verdict.CONFIRMED
 
 

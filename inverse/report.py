@@ -23,6 +23,10 @@ MAIN = 0.3
 """Share of the greatest weight from which on one of the `NAMED` heaviest parameters is named in a combination."""
 SUGGESTED = 3
 """Measurements, and combinations that are identifiable, that the conclusion names."""
+DECISIVE = 0.2
+"""Information of a measurement [nat] from which on the conclusion names it: an emulator of few runs feigns less."""
+LARGER, FINEST = 1.5, 8.0
+"""The error of the cells over the noise from which on finer cells are advised, and up to which their size is said."""
 
 
 def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
@@ -72,23 +76,23 @@ def first_found(result: Result) -> str:
     if "answers" not in said:
         return ""
     texts, more = [], len(result.problem.numbers) - NAMED
+    others = f" and {more} more" if more > 0 else ""
     for answer in said["answers"]:
         text = named(result, answer["unknowns"].values(), answer["interval"].values())
-        text += f" and {more} more" if more > 0 else ""
-        texts.append(f"{text}, where the MPM is {root(answer['mpm_error']['misfit'] ** 0.5)} off the target")
-    price = f"{said['predictions']} predictions in {said['seconds']:.1f} s"
-    return f"The surrogate found {'; or '.join(texts)} ({price})."
+        texts.append(f"{text}{others}, where the MPM is {root(answer['mpm_error']['misfit'] ** 0.5)} off the target")
+    return f"The surrogate found {'; or '.join(texts)} ({said['predictions']} predictions in {said['seconds']:.1f} s)."
 
 
 def verdict(result: Result) -> str:
     """The verdict, with the distance from the target and the predictive interval."""
     first, runs = result.answers[0], len(result.answers[0].checks)
     if runs == 0:
-        return f"**Unconfirmed**: the {result.forward} alone answers, `python -m validation.loop` has the MPM's word."
-    which = f"the mean of {runs} MPM runs at the answer"
+        return (
+            f"**Unconfirmed**: the {result.forward} answers unchecked; `python -m validation.loop` checks by MPM runs."
+        )
+    which = f"the mean of {runs} MPM runs beside the answer, carried over to it,"
     if runs == 1:
-        at_answer = first.checks[0].purpose is Purpose.CHECK
-        which = "an MPM run at the answer" if at_answer else "the MPM run nearest to the answer"
+        which = f"the MPM run {'at' if first.checks[0].purpose is Purpose.CHECK else 'nearest to'} the answer"
     count = len(result.answers)
     many = f"{count} separate answers" if count > 1 else "the MPM confirms a whole range of parameters"
     words = {
@@ -146,8 +150,8 @@ def angles(result: Result) -> str:
 
 def with_intervals(result: Result, values: Iterable[float], intervals: Iterable[Sequence[float]]) -> dict[str, str]:
     """The numbers with their intervals, by name."""
-    both = zip(result.problem.numbers, values, intervals, strict=True)
-    return {f"`{number.name}`": f"{number.kind.text(value)} ({within(number, ends)})" for number, value, ends in both}
+    every = zip(result.problem.numbers, values, intervals, strict=True)
+    return {f"`{number.name}`": f"{number.kind.text(value)} ({within(number, ends)})" for number, value, ends in every}
 
 
 def named(result: Result, values: Iterable[float], intervals: Iterable[Sequence[float]]) -> str:
@@ -165,12 +169,13 @@ def equifinality(result: Result) -> str:
         return ""
     parts = [advice] if (advice := finer(result)) else []
     if names := unidentified(result.problem, result.answers[0]):
-        constrained = [mix(combination) for combination in result.combinations if combination.identifiable]
-        listed = ", ".join(f"`{name}`" for name in names)
-        parts.append(f"Not identifiable: {listed}; constrained: {'; '.join(constrained[:SUGGESTED]) or 'nothing'}")
+        listed, alone = ", ".join(f"`{name}`" for name in names), [[name] for name in names]
+        known = [mixed for mixed in result.combinations if mixed.identifiable and heavy(mixed) not in alone]
+        constrained = "; ".join(map(mix, known[:SUGGESTED]))
+        parts.append(f"Not identifiable: {listed}; constrained: {constrained or 'nothing'}")
     if result.further:
-        best = ", ".join([*result.further][:SUGGESTED])
-        parts.append(f"most would be decided by {best}")
+        best = ", ".join([name for name, gain in result.further.items() if gain >= DECISIVE][:SUGGESTED])
+        parts.append(f"most would be decided by {best}" if best else "no other measurement would decide much")
     return sentence(parts)
 
 
@@ -333,9 +338,10 @@ def finer(result: Result) -> str:
     The error is that of the cell beyond the target's, 0 in nature; work grows by the power dimension + 1 of 1 / cell.
     """
     fit, cell, target_cell = result.answers[0].fit, result.problem.scene.domain.cell, result.target.cell or 0.0
-    if fit is None or not 0.0 < fit.noise < fit.cells or target_cell >= cell:
+    if fit is None or not 0.0 < LARGER * fit.noise < fit.cells or target_cell >= cell:
         return ""
-    share = fit.cells / fit.noise
+    if (share := fit.cells / fit.noise) > FINEST:
+        return f"finer cells first: the error of the cells is {share:.2g} times the noise, and falls with the cells"
     enough = target_cell + (cell - target_cell) / share
     times = (cell / enough) ** (result.problem.scene.dimension + 1)
     seconds = float(np.mean([check.seconds for check in result.answers[0].checks]))
@@ -346,14 +352,19 @@ def finer(result: Result) -> str:
     )
 
 
-def mix(combination: Combination, comma: str = "") -> str:
-    """A combination in words: which parameters go up, which go down with them, and how well it is known."""
+def heavy(combination: Combination) -> list[str]:
+    """The parameters that make up most of a combination."""
     weights = combination.weights
     heaviest = sorted(weights, key=lambda name: -abs(weights[name]))[:NAMED]
-    heavy = [name for name in weights if name in heaviest and abs(weights[name]) >= MAIN * abs(weights[heaviest[0]])]
-    up = " and ".join(f"`{name}`" for name in heavy if weights[name] > 0.0)
-    down = " and ".join(f"`{name}`" for name in heavy if weights[name] <= 0.0)
-    together = " up or down together" if len(heavy) > 1 else ""
+    return [name for name in weights if name in heaviest and abs(weights[name]) >= MAIN * abs(weights[heaviest[0]])]
+
+
+def mix(combination: Combination, comma: str = "") -> str:
+    """A combination in words: which parameters go up, which go down with them, and how well it is known."""
+    weights, names = combination.weights, heavy(combination)
+    up = " and ".join(f"`{name}`" for name in names if weights[name] > 0.0)
+    down = " and ".join(f"`{name}`" for name in names if weights[name] <= 0.0)
+    together = " up or down together" if len(names) > 1 else ""
     text = f"{up} up while {down} down" if down else f"{up}{together}"
     return f"{text}{comma} to ± {100.0 * combination.half_width:.2g} % of the range"
 
@@ -368,8 +379,8 @@ def search_table(result: Result) -> str:
             elif isinstance(value, bool | int | float):
                 row[key.replace("_", " ")] = value
         rows.append(row)
-    said = f"Surrogate: {result.surrogate['reason']}.\n\n" if result.surrogate else ""
-    return said + markdown_table(rows, disable_numparse=False, floatfmt=".4g")
+    reason = f"Surrogate: {result.surrogate['reason']}.\n\n" if result.surrogate else ""
+    return reason + markdown_table(rows, disable_numparse=False, floatfmt=".4g")
 
 
 def cost(result: Result) -> str:

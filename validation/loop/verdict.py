@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from datasets.errors import InputError
-from inverse.answer import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
+from inverse.answer import AT_BOUND, IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
 from inverse.parameters import Vector
@@ -23,7 +23,7 @@ from validation.loop.task import Loop, Task
 CLOSE = 0.35
 """Of a half-width: checks this close to an answer are checks of it."""
 EXCLUDED = 1e-3
-"""Probability of the nearest fit of all, below which no parameters between the bounds give the target."""
+"""Probability of the nearest fit of all, at a bound, below which no parameters between the bounds give the target."""
 SETTLED = 0.05
 """Change of the factor of a discrepancy, over it, that widens or narrows no interval."""
 NEGLIGIBLE = 0.1
@@ -49,7 +49,7 @@ def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Concl
 
     moves: see `checked`.
     """
-    excluded = is_excluded(state.knowledge.posterior)
+    unreachable = is_unreachable(state.knowledge.posterior)
     state, answers = checked(state, moves=moves)
     if cells := on_other_cells(task, answers[0]):
         # The error grows as the cell (Roache 1994): nature has none, a twin on other cells that of its own.
@@ -67,7 +67,7 @@ def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Concl
         state, answers = checked(wider, again=False, moves=min(1, moves))
     # What the MPM refuses is no other answer beside one that it confirms.
     answers = tuple(answer for answer in answers if answer.confirmed) or answers
-    verdict = judge(task.problem, answers, excluded=excluded)
+    verdict = judge(task.problem, answers, unreachable=unreachable)
     return Conclusion(search=state, answers=answers, verdict=verdict, cells=cells)
 
 
@@ -243,10 +243,15 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
 
 
-def is_excluded(posterior: Posterior) -> bool:
-    """Whether the likeliest parameters of all, whatever a stated prior, leave more than scatter and noise explain."""
+def is_unreachable(posterior: Posterior) -> bool:
+    """Whether the likeliest parameters of all lie at a bound and leave more than scatter and noise explain.
+
+    Whatever a stated prior; before the errors are multiplied by Birge's ratio, which moves medians off the bound.
+    """
     samples = posterior.samples if posterior.likelihood.prior is None else posterior.plausible
     best = samples.points[[int(np.argmax(samples.log_likelihood))]]
+    if not np.any((best < AT_BOUND) | (best > 1.0 - AT_BOUND)):
+        return False
     (residual,), fixed, (variance,) = posterior.likelihood.residual(best)
     square = float(residual @ np.linalg.solve(fixed + np.diag(variance), residual))
     return float(chi2.sf(square, len(residual))) < EXCLUDED
