@@ -131,30 +131,32 @@ def write_flow(
     price = expected(scene, work, memory=plan.bytes, until_rest=record.until_rest, **machine)
     make_folder(out)
     print(f"{plan}; {step_spoken(scene)}; {price}", flush=True)
-    with ExitStack() as stack:
-        if appended:
-            options["file"] = stack.enter_context(FrameWriter(frames))
-        stop = stack.enter_context(stopping())
-        try:
-            trajectory = simulate(scene, resume=start, stop=stop, **options)
-        except Interrupted as interrupted:
+    with stopping() as stop:
+        checkpoint = None
+        # At its end the frames of a file take their place.
+        with ExitStack() as stack:
             if appended:
-                options["file"].put(**interrupted.so_far.arrays())
-            interrupted.checkpoint.save(file)
-            end_time = scene.frame_dt * interrupted.checkpoint.frame
+                options["file"] = stack.enter_context(FrameWriter(frames))
+            try:
+                trajectory = simulate(scene, resume=start, stop=stop, **options)
+            except Interrupted as interrupted:
+                checkpoint, trajectory = interrupted.checkpoint, interrupted.so_far
+            except InputError as error:
+                raise error.at(str(file)) if start is not None and not error.where else error from None
+            if appended:
+                options["file"].put(**trajectory.arrays())
+        if checkpoint is not None:
+            checkpoint.save(file)
+            end_time = scene.frame_dt * checkpoint.frame
             print(f"talus: interrupted at t = {end_time:g} s; the same command goes on from {file}", file=sys.stderr)
             return stop.status
-        except InputError as error:
-            raise error.at(str(file)) if start is not None and not error.where else error from None
+        if not appended:
+            trajectory.save(frames if hdf5 else out / "trajectory.npz")
         summary = trajectory.summary
         write_json(out / "summary.json", summary)
-        file.unlink(missing_ok=True)
         # The folder holds one trajectory: that of this run.
         (out / "trajectory.npz" if hdf5 else frames).unlink(missing_ok=True)
-        if appended:
-            options["file"].put(**trajectory.arrays())
-        else:
-            trajectory.save(frames if hdf5 else out / "trajectory.npz")
+        file.unlink(missing_ok=True)
         if vtk:
             write_vtk(trajectory, out / "vtk", progress=True)
         if forces:

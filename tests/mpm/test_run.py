@@ -1,6 +1,7 @@
 """The command that runs one scene, its cache of kernels; runs that are broken off and frames in a file, to the bit."""
 
 import dataclasses
+import errno
 import json
 import os
 import signal
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from tqdm import tqdm
 
-from datasets import Baffle, Mass, Scene, Trajectory
+from datasets import Baffle, Mass, Scene, Trajectory, files
 from datasets.command_line import run
 from datasets.flow.array_files import FrameWriter
 from mpm import WITH_FIELDS, Recording, safety, simulate, simulation
@@ -231,6 +232,11 @@ def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, ch
 LONG = SCENE.replace("duration = 0.25", "duration = 0.4\nframe_dt = 0.005")
 
 
+def full(_: Path) -> None:
+    """A disk that has no room for the last bytes of a file."""
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 @pytest.mark.parametrize(
     ("number", "status", "flags", "end"),
     [(signal.SIGINT, 130, ["--every", "8"], 0.04), (signal.SIGTERM, 143, ["--hdf5"], 0.005)],
@@ -263,6 +269,12 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
     name = "trajectory.h5" if "--hdf5" in flags else "trajectory.npz"
     if "--hdf5" in flags:
         assert len(Trajectory.load(out / name).positions) == 2
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "flush", full)
+        assert run(command, "mpm.run", [str(scene), "--out", str(out), *flags]) == 1
+    assert f"{name}: No space left on device" in capsys.readouterr().err
+    assert (out / "checkpoint.npz").exists()
+    assert not (out / "summary.json").exists()
     for folder in (out, tmp_path / "whole"):
         assert run(command, "mpm.run", [str(scene), "--out", str(folder), *flags]) == 0
     assert sorted(file.name for file in out.iterdir()) == ["summary.json", name]
