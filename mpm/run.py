@@ -3,17 +3,17 @@
 import dataclasses
 import sys
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming
-from datasets.exchange.vtk import write_vtk
+from datasets.exchange.vtk import remove_series, write_vtk
 from datasets.files import make_folder, write_json
 from datasets.flow.array_files import HDF5, FrameWriter
 from datasets.flow.trajectory import open_trajectory
-from datasets.forces import spoken, write_forces
+from datasets.forces import PLOT, TABLE, spoken, write_forces
 from datasets.processes import stopping
 from datasets.scene import Scene
 from datasets.scene.library import read_scene
@@ -154,9 +154,12 @@ def write_flow(
             trajectory.save(frames if hdf5 else out / "trajectory.npz")
         summary = trajectory.summary
         write_json(out / "summary.json", summary)
-        # The folder holds one trajectory: that of this run.
-        (out / "trajectory.npz" if hdf5 else frames).unlink(missing_ok=True)
-        file.unlink(missing_ok=True)
+        # The folder holds one trajectory, that of this run, and what is written of it below.
+        for former in ("trajectory.npz" if hdf5 else frames.name, TABLE, PLOT, file.name):
+            (out / former).unlink(missing_ok=True)
+        with suppress(OSError):  # of other files in it
+            remove_series(out / "vtk")
+            (out / "vtk").rmdir()
         if vtk:
             write_vtk(trajectory, out / "vtk", progress=True)
         if forces:

@@ -281,6 +281,19 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
     same(Trajectory.load(out / name), Trajectory.load(tmp_path / "whole" / name))
 
 
+def test_what_was_written_of_a_former_flow_goes(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert ran(tmp_path, SHORT.replace("duration = 0.02", "duration = 0.005"), "--vtk", "--forces") == 0
+    for name in ("notes.txt", "vtk/particles.vtp"):
+        (out / name).write_text("somebody's")
+    assert ran(tmp_path) == 0
+    left = ["notes.txt", "summary.json", "trajectory.npz", "vtk", "vtk/particles.vtp"]
+    assert sorted(str(path.relative_to(out)) for path in out.rglob("*")) == left
+    (out / "vtk" / "particles.vtp").unlink()
+    assert ran(tmp_path, SHORT, "--hdf5") == 0
+    assert sorted(path.name for path in out.iterdir()) == ["notes.txt", "summary.json", "trajectory.h5"]
+
+
 def test_a_checkpoint_of_another_run_is_named_and_left(
     tmp_path: Path, checkpoint: Checkpoint, capsys: pytest.CaptureFixture[str]
 ) -> None:
