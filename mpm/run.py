@@ -1,6 +1,7 @@
 """python -m mpm.run SCENE --out DIR: simulate one scene with the MPM."""
 
 import dataclasses
+import shlex
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
@@ -179,7 +180,7 @@ def print_summary(summary: Mapping[str, Any], out: Path) -> None:
     )
     if water := summary.get("drainage"):
         print(water)
-    print(f"python -m validation.view {out} shows it in a browser")
+    print(f"python -m validation.view {shlex.quote(str(out))} shows it in a browser")
     for line in summary["remarks"]:
         print(f"talus: {line}", file=sys.stderr)
 

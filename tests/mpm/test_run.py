@@ -38,9 +38,12 @@ def ran(folder: Path, text: str = SHORT, *flags: str) -> int:
     return run(command, "mpm.run", [str(folder / "pile.toml"), "--out", str(folder / "out"), *flags])
 
 
-def test_it_leaves_a_trajectory_and_a_summary(tmp_path: Path) -> None:
+def test_it_leaves_a_trajectory_and_a_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tmp_path = tmp_path / "two words"
+    tmp_path.mkdir()
     out = tmp_path / "out"
     assert ran(tmp_path) == 0
+    assert f"python -m validation.view '{out}' shows it" in capsys.readouterr().out
     trajectory = Trajectory.load(out / "trajectory.npz")
     assert trajectory.positions.shape == (5, 400, 2)
     summary = json.loads((out / "summary.json").read_text())
@@ -221,12 +224,12 @@ def test_another_run_is_refused(checkpoint: Checkpoint, scene: Scene, options: A
 @pytest.mark.parametrize("change", [{"run": None}, {"frame": np.array("{")}])
 def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, change: dict[str, Any]) -> None:
     path = tmp_path / "checkpoint.npz"
-    refused(Checkpoint.load, path, said="expected a whole NPZ of plain arrays (a checkpoint), there is no such file")
+    refused(Checkpoint.load, path, said="expected a whole NPZ of plain arrays (a checkpoint")
     checkpoint.save(path)
     with np.load(path, allow_pickle=False) as file:
         arrays = {key: value for key, value in (dict(file) | change).items() if value is not None}
     np.savez(path, **arrays)
-    assert refused(Checkpoint.load, path).where == str(path)
+    assert refused(Checkpoint.load, path, said="; delete the file to begin anew").where == str(path)
 
 
 LONG = SCENE.replace("duration = 0.25", "duration = 0.4\nframe_dt = 0.005")
