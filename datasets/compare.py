@@ -228,7 +228,7 @@ def command(one: Path, other: Path, /, *, out: Path | None = None) -> None:
         out: Folder for comparison.md, comparison.png and comparison.json; the table is printed without, too.
     """
     paths = [trajectory_file(path) for path in (one, other)]
-    first, second = (open_trajectory(path, "velocities") for path in paths)
+    first, second = (open_trajectory(path, "velocities", sound=True) for path in paths)
     with naming(paths[1]):
         comparison = compare(first, second, labels=labels_of(one, other))
     print(comparison.table())

@@ -352,7 +352,7 @@ def command(trajectory: Path, /, *, out: Path, cell: float | None = None, thresh
         threshold: Thickness [m] above which the ground counts as covered; unless given the spacing of the particles, at
             most half the least thickness released. Given several times, each has its outlines, and the maps the first.
     """
-    flow = open_trajectory(trajectory_file(trajectory), "velocities")
+    flow = open_trajectory(trajectory_file(trajectory), "velocities", sound=True)
     require(all(level > 0.0 for level in threshold), "--threshold", "thicknesses above 0 m", list(threshold))
     make_folder(out)
     edge, first = flow.scene.domain.cell if cell is None else cell, threshold[0] if threshold else None

@@ -1,6 +1,6 @@
 """Tables of TOML or JSON into frozen dataclasses: an unknown key, a wrong type or a number out of bounds is one error.
 
-pydantic checks keys and types of a file; bounds hold for records made in Python too, which check them themselves.
+pydantic checks keys and types of a file. A record checks types and bounds itself too, since Python makes them as well.
 """
 
 import difflib
@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from itertools import chain
-from typing import Any, ClassVar, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, TypeVar, cast, get_args, get_type_hints
 
+import numpy as np
 from pydantic import ConfigDict, PlainValidator, TypeAdapter, ValidationError
 
 from datasets.errors import InputError, OutOfRange, require
@@ -60,6 +61,23 @@ class Bounds:
 
 
 @cache
+def types_of(kind: type) -> tuple[list[str], TypeAdapter[tuple[Any, ...]]]:
+    """The keys of a dataclass, and what checks a tuple of their values."""
+    hints, names = get_type_hints(kind, include_extras=True), [member.name for member in fields(kind)]
+    values: Any = tuple.__class_getitem__(tuple(hints[name] for name in names))
+    return names, TypeAdapter(values, config=ConfigDict(strict=True))
+
+
+def plain(value: Any) -> Any:
+    """Numbers and arrays of numpy as Python's, lists and arrays as tuples, at any depth."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    return tuple(map(plain, value)) if isinstance(value, list | tuple) else value
+
+
+@cache
 def bounds_of(kind: type) -> dict[str, Bounds]:
     """The bounds that stand beside the types of a dataclass, by key."""
 
@@ -72,13 +90,39 @@ def bounds_of(kind: type) -> dict[str, Bounds]:
     return {name: bounds for name, hint in hints.items() for bounds in within(hint)}
 
 
+def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a dataclass by key, as Python's own. Raises InputError for one of another type."""
+    keys, types = types_of(kind)
+    values = tuple(given[key] for key in keys)
+    try:
+        return dict(zip(keys, types.validate_python(values), strict=True))
+    except ValidationError:
+        # Few are of numpy, and large tables take long to walk through.
+        values = plain(values)
+    try:
+        return dict(zip(keys, types.validate_python(values), strict=True))
+    except ValidationError as error:
+        mistake = error.errors(include_url=False)[0]
+        key, *inside = mistake["loc"]
+        key = keys[int(key)]
+        bounds = bounds_of(kind).get(key)
+        # Of what may also be a word pydantic says but one part.
+        said = bounds.expected if bounds is not None and bounds.words else mistake["msg"]
+        raise wrong({**mistake, "msg": said, "loc": (key, *inside)}) from None
+
+
 class Record:
-    """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan."""
+    """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan.
+
+    One that Python makes takes numbers and arrays of numpy too, and inf where no bounds forbid it.
+    """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     def __post_init__(self) -> None:
         kind: Any = type(self)
+        for key, value in typed(kind, vars(self)).items():
+            object.__setattr__(self, key, value)
         for key, bounds in bounds_of(kind).items():
             value = getattr(self, key)
             if not bounds.hold(value):
@@ -111,20 +155,29 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         mistakes = error.errors(include_url=False)
         # A misspelt key is also a missing one; "did you mean" helps more.
         first = next((mistake for mistake in mistakes if mistake["type"] == "unexpected_keyword_argument"), mistakes[0])
-        # Where a key takes one of several types, pydantic names the type that it tried last.
-        path = dotted(tuple(part for part in first["loc"] if part not in UNSEEN))
-        cause = first.get("ctx", {}).get("error")
-        if isinstance(cause, InputError):
-            # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.
-            key = cause.key.removeprefix(path.split(".")[-1] + ".") if path else cause.key
-            raise OutOfRange(cause.message, key=".".join(part for part in (path, key) if part)) from None
         if first["type"] == "unexpected_keyword_argument":
             name, schema = str(first["loc"][-1]), adapter.json_schema()
-            raise InputError(unknown_key(name, *keys_of(schema, first["loc"][:-1])), key=path) from None
-        if first["type"] == "missing":
-            raise InputError("expected a value, the key is missing", key=path) from None
-        expected = first["msg"].removeprefix("Input should be ")
-        raise InputError(f"expected {expected}, got {first['input']!r}", key=path) from None
+            raise InputError(unknown_key(name, *keys_of(schema, first["loc"][:-1])), key=seen(first)) from None
+        raise wrong(first) from None
+
+
+def seen(mistake: Mapping[str, Any]) -> str:
+    """The path of what pydantic found, as a file has it."""
+    # Where a key takes one of several types, pydantic names the type that it tried last.
+    return dotted(tuple(part for part in mistake["loc"] if part not in UNSEEN and "[" not in str(part)))
+
+
+def wrong(mistake: Mapping[str, Any]) -> InputError:
+    """What pydantic found of a value."""
+    path, cause = seen(mistake), mistake.get("ctx", {}).get("error")
+    if isinstance(cause, InputError):
+        # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.
+        key = cause.key.removeprefix(path.split(".")[-1] + ".") if path else cause.key
+        return OutOfRange(cause.message, key=".".join(part for part in (path, key) if part))
+    if mistake["type"] == "missing":
+        return InputError("expected a value, the key is missing", key=path)
+    expected = mistake["msg"].removeprefix("Input should be ")
+    return InputError(f"expected {expected}, got {mistake['input']!r}", key=path)
 
 
 def keys_of(schema: dict[str, Any], place: Sequence[int | str]) -> tuple[list[str], list[str]]:
@@ -158,6 +211,8 @@ def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
     """
 
     def read(table: Any) -> T:
+        if isinstance(table, tuple(kinds.values())):
+            return cast(T, table)
         require(isinstance(table, dict), "", "a table", repr(table))
         keys = {kind: ["kind", *(field.name for field in fields(record))] for kind, record in kinds.items()}  # type: ignore[arg-type]
         users = {name: [kind for kind in kinds if name in keys[kind]] for name in table}

@@ -1,5 +1,6 @@
 """`report.md`: conclusion, answers, comparison with the target, uncertainty, how the answers were found, cost."""
 
+import shlex
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
@@ -32,9 +33,10 @@ LARGER, FINEST = 1.5, 8.0
 def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
     """The report that lies in `folder`; pictures: names of the files beside it."""
     parts = [f"# {result.problem.name}: {result.verdict}", "\n".join(f"- {line}" for line in conclusion(result))]
-    command = f"`{result.command} {result.problem.asked or result.problem.name} --out {folder}`"
+    place, asked = shlex.quote(str(folder)), shlex.quote(result.problem.asked or result.problem.name)
+    command = f"`{result.command} {asked} --out {place}`"
     if any(run.file for run in result.mpm_runs):
-        command += f"; in a browser: `python -m validation.view {folder}`"
+        command += f"; in a browser: `python -m validation.view {place}`"
     parts += [command, question(result)]
 
     def shown(name: str, text: str) -> str:

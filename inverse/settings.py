@@ -69,6 +69,7 @@ class TargetSettings(Record):
     """A trajectory (NPZ) that was observed."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         both = self.twin and self.trajectory is not None
         require(not both, "", "one of twin = true and trajectory", "twin and trajectory")
         require(self.twin or not self.truth, "truth", "twin = true beside a truth", "none")

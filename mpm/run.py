@@ -1,19 +1,20 @@
 """python -m mpm.run SCENE --out DIR: simulate one scene with the MPM."""
 
 import dataclasses
+import shlex
 import sys
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming
-from datasets.exchange.vtk import write_vtk
+from datasets.exchange.vtk import remove_series, write_vtk
 from datasets.files import make_folder, write_json
 from datasets.flow.array_files import HDF5, FrameWriter
 from datasets.flow.trajectory import open_trajectory
-from datasets.forces import spoken, write_forces
+from datasets.forces import PLOT, TABLE, spoken, write_forces
 from datasets.processes import stopping
 from datasets.scene import Scene
 from datasets.scene.library import read_scene
@@ -131,30 +132,35 @@ def write_flow(
     price = expected(scene, work, memory=plan.bytes, until_rest=record.until_rest, **machine)
     make_folder(out)
     print(f"{plan}; {step_spoken(scene)}; {price}", flush=True)
-    with ExitStack() as stack:
-        if appended:
-            options["file"] = stack.enter_context(FrameWriter(frames))
-        stop = stack.enter_context(stopping())
-        try:
-            trajectory = simulate(scene, resume=start, stop=stop, **options)
-        except Interrupted as interrupted:
+    with stopping() as stop:
+        checkpoint = None
+        # At its end the frames of a file take their place.
+        with ExitStack() as stack:
             if appended:
-                options["file"].put(**interrupted.so_far.arrays())
-            interrupted.checkpoint.save(file)
-            end_time = scene.frame_dt * interrupted.checkpoint.frame
+                options["file"] = stack.enter_context(FrameWriter(frames))
+            try:
+                trajectory = simulate(scene, resume=start, stop=stop, **options)
+            except Interrupted as interrupted:
+                checkpoint, trajectory = interrupted.checkpoint, interrupted.so_far
+            except InputError as error:
+                raise error.at(str(file)) if start is not None and not error.where else error from None
+            if appended:
+                options["file"].put(**trajectory.arrays())
+        if checkpoint is not None:
+            checkpoint.save(file)
+            end_time = scene.frame_dt * checkpoint.frame
             print(f"talus: interrupted at t = {end_time:g} s; the same command goes on from {file}", file=sys.stderr)
             return stop.status
-        except InputError as error:
-            raise error.at(str(file)) if start is not None and not error.where else error from None
+        if not appended:
+            trajectory.save(frames if hdf5 else out / "trajectory.npz")
         summary = trajectory.summary
         write_json(out / "summary.json", summary)
-        file.unlink(missing_ok=True)
-        # The folder holds one trajectory: that of this run.
-        (out / "trajectory.npz" if hdf5 else frames).unlink(missing_ok=True)
-        if appended:
-            options["file"].put(**trajectory.arrays())
-        else:
-            trajectory.save(frames if hdf5 else out / "trajectory.npz")
+        # The folder holds one trajectory, that of this run, and what is written of it below.
+        for former in ("trajectory.npz" if hdf5 else frames.name, TABLE, PLOT, file.name):
+            (out / former).unlink(missing_ok=True)
+        with suppress(OSError):  # of other files in it
+            remove_series(out / "vtk")
+            (out / "vtk").rmdir()
         if vtk:
             write_vtk(trajectory, out / "vtk", progress=True)
         if forces:
@@ -174,7 +180,7 @@ def print_summary(summary: Mapping[str, Any], out: Path) -> None:
     )
     if water := summary.get("drainage"):
         print(water)
-    print(f"python -m validation.view {out} shows it in a browser")
+    print(f"python -m validation.view {shlex.quote(str(out))} shows it in a browser")
     for line in summary["remarks"]:
         print(f"talus: {line}", file=sys.stderr)
 

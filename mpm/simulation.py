@@ -2,19 +2,22 @@
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from threading import Timer
-from typing import TypedDict, Unpack
+from typing import Any, TypedDict, Unpack, get_args
 
 import numpy as np
 from tqdm import tqdm
 
-from datasets.errors import InputError, WorkFailed
+from datasets.errors import InputError, WorkFailed, require
 from datasets.flow.array_files import FrameWriter
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
 from datasets.scene.checks import warn_if_unlikely
+from datasets.scene.library import read_scene
 from datasets.scene.particles import particle_count, warn_if_unresolved
+from datasets.schema import unknown_key
 from mpm import runtime
 from mpm.arrays.batch import Batch, particles_of
 from mpm.arrays.features import Features, features_of
@@ -26,7 +29,7 @@ from mpm.kernel import Phase, compute, kernel
 from mpm.output.checkpoint import Checkpoint
 from mpm.output.outcome import trajectory
 from mpm.output.recording import ALL, Recording
-from mpm.runtime import Arch
+from mpm.runtime import ARCHES, Arch
 
 LARGE = 2 * runtime.PARTICLES_PER_WORKER
 """Particles from which one scene takes several threads, and they are sorted by cell every FRAMES_PER_CALL frames."""
@@ -57,6 +60,23 @@ class Options(TypedDict, total=False):
     """Where the positions are kept as they are computed, not in memory; of one scene, on the CPU, without fields."""
 
 
+def check_options(options: Mapping[str, Any]) -> None:
+    """Raise InputError for an option that there is none of, or that cannot be."""
+    names = [*Options.__annotations__]
+    for name in options:
+        if name not in names:
+            raise InputError(unknown_key(name, names), key=name)
+    precisions, threads = get_args(Precision), options.get("threads")
+    positive = threads is None or (isinstance(threads, int | np.integer) and int(threads) > 0)
+    for name, ok, expected in (
+        ("precision", options.get("precision", "f32") in precisions, f"one of {', '.join(precisions)}"),
+        ("arch", options.get("arch", "cpu") in [*ARCHES], f"one of {', '.join(ARCHES)}"),
+        ("threads", positive, "a whole number from 1 on"),
+        ("record", isinstance(options.get("record", ALL), Recording), "a Recording"),
+    ):
+        require(ok, name, expected, repr(options.get(name)))
+
+
 class ScenesFailed(WorkFailed):
     """Some scenes of a batch failed; the others did not."""
 
@@ -80,13 +100,13 @@ class Interrupted(KeyboardInterrupt):
 
 
 def simulate(
-    scene: Scene,
+    scene: Scene | str | Path,
     *,
     resume: Checkpoint | None = None,
     stop: Callable[[], bool] = lambda: False,
     **options: Unpack[Options],
 ) -> Trajectory:
-    """Run one scene, a large one on all threads.
+    """Run a scene, or that of a path or a shipped name; a large one on all threads.
 
         trajectory = simulate(scene, record=Recording(frames=10, fields=True))
         trajectory.positions, trajectory.summary["front"]        # [m], shape [T, N, D]; m
@@ -96,6 +116,8 @@ def simulate(
     WorkFailed if it blew up, InputError where there is no GPU, or where the checkpoint is of another scene, recording
     or precision.
     """
+    check_options(options)
+    scene = scene if isinstance(scene, Scene) else read_scene(scene)
     warn_if_unlikely(scene)
     warn_if_unresolved(scene)
     arch, threads = options.get("arch", "cpu"), options.get("threads")
@@ -132,7 +154,7 @@ def simulate(
     return outcome
 
 
-def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory]:
+def simulate_many(scenes: Sequence[Scene | str | Path], **options: Unpack[Options]) -> list[Trajectory]:
     """Run scenes side by side, one per thread; one of less than LARGE particles is the same to the bit as alone.
 
     Raises ScenesFailed, once all have ended, where one blew up, and InputError as `simulate`.
@@ -150,32 +172,35 @@ def whole(outcomes: Sequence[Trajectory | WorkFailed]) -> list[Trajectory]:
     return trajectories
 
 
-def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory | WorkFailed]:
+def simulate_each(scenes: Sequence[Scene | str | Path], **options: Unpack[Options]) -> list[Trajectory | WorkFailed]:
     """As `simulate_many`, but one that blew up leaves a WorkFailed in its place.
 
     Scenes that need the same features run together, in the kernel that each would get alone; `wall_s` and `compile_s`
     of their summaries are those of all scenes together.
     """
+    check_options(options)
+    require(len(scenes) > 0, "scenes", "one scene at least", "none")
+    given = [scene if isinstance(scene, Scene) else read_scene(scene) for scene in scenes]
     if "file" in options:
         raise InputError("expected one scene whose frames are kept in a file, got others beside it", key="file")
-    for scene in scenes:
+    for scene in given:
         warn_if_unresolved(scene)
     arch, record = options.get("arch", "cpu"), options.get("record", ALL)
     precision, gpu = options.get("precision", "f32"), arch != "cpu"
-    require_memory([footprint(scene, record=record, precision=precision, gpu=gpu) for scene in scenes])
+    require_memory([footprint(scene, record=record, precision=precision, gpu=gpu) for scene in given])
     runtime.start(precision, options.get("threads"), arch)
-    particles = particles_of(scenes)
+    particles = particles_of(given)
     groups: dict[Features, list[int]] = {}
-    for index, scene in enumerate(scenes):
+    for index, scene in enumerate(given):
         features = features_of([scene], precision, record=record, gpu=gpu)
         groups.setdefault(features, []).append(index)
     outcomes: dict[int, Trajectory | WorkFailed] = {}
     wall_s = compile_s = 0.0
-    frames = sum(max(scenes[index].frames for index in group) - 1 for group in groups.values())
+    frames = sum(max(given[index].frames for index in group) - 1 for group in groups.values())
     with progress_bar(frames, 0, options) as bar:
         for group in groups.values():
-            alike, begun = [scenes[index] for index in group], [particles[index] for index in group]
-            batch = Batch(alike, precision=precision, record=record, gpu=gpu, particles=begun)
+            alike, filled = [given[index] for index in group], [particles[index] for index in group]
+            batch = Batch(alike, precision=precision, record=record, gpu=gpu, particles=filled)
             seconds = run_batch(batch, arch, bar, lambda: False, say=options.get("progress", False))
             wall_s, compile_s = wall_s + seconds[0], compile_s + seconds[1]
             for number, index in enumerate(group):

@@ -58,7 +58,7 @@ def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None
     if other is not None:
         files, labels = [file, source_of(other)[0]], [*labels_of(flow, other)]
     page = out or (flow if flow.is_dir() else flow.parent) / "view.html"
-    flows = [open_trajectory(path, *FIELDS) for path in files]
+    flows = [open_trajectory(path, *FIELDS, sound=True) for path in files]
     with naming(files[-1]):
         write_view(page, *flows, title=flow.resolve().name, labels=labels, observed=Observed(**observed))
     print(f"written to {page}, {page.stat().st_size / 1e6:.1f} MB")

@@ -157,15 +157,20 @@ def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, pro
                 time = repr(float(trajectory.time[frame]))
                 ElementTree.SubElement(collection, "DataSet", timestep=time, part=str(number), file=file)
             since = frame
-        # From here on it is a matter of moments; while there is no series, nothing refers to files that are not there.
-        (folder / SERIES).unlink(missing_ok=True)
-        for old in [path for path in folder.iterdir() if PARTS.fullmatch(path.name)]:
-            old.unlink()
+        # From here on it is a matter of moments.
+        remove_series(folder)
         for new in list(beside.iterdir()):
             new.replace(folder / new.name)
     ElementTree.indent(series)
     with replacing(folder / SERIES) as index:
         ElementTree.ElementTree(series).write(index, encoding="utf-8", xml_declaration=True)
+
+
+def remove_series(folder: Path) -> None:
+    """Remove the series in a folder, first what refers to its files, and nothing else."""
+    (folder / SERIES).unlink(missing_ok=True)
+    for old in [path for path in folder.glob("*.vtp") if PARTS.fullmatch(path.name)]:
+        old.unlink()
 
 
 def _write(mesh: "pyvista.PolyData", path: Path) -> None:

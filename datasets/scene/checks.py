@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError, require
-from datasets.geometry.shapes import check_grid, check_rows, check_solid, check_vector, usual
+from datasets.geometry.shapes import check_grid, check_rows, check_shape, check_solid, check_vector, usual
 from datasets.scene.grid_field import FRICTION, THICKNESS, VELOCITIES, Field
 from datasets.scene.material import ANGLES, MOHR_COULOMB
 from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, SceneLayout, Water, keyed
@@ -107,6 +107,9 @@ def check(scene: SceneLayout) -> None:
         require(side in sides, f"open_sides[{index}]", f"one of {', '.join(sides)}", repr(side))
         require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))
     for key, mass in keyed(scene, "masses").items():
+        # Other shapes say what is wrong with them when they are filled.
+        if mass.kind == "box":
+            check_shape(mass, key, dimension)
         check_start(scene, mass, key)
     # Other shapes than boxes say so when they are filled.
     sizes = [[length / scene.particle_spacing for length in mass.size] for mass in scene.masses if mass.kind == "box"]

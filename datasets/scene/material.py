@@ -30,6 +30,8 @@ Depth = TypeVar("Depth", float, NDArray[np.float64])
 
 MOHR_COULOMB = "mohr-coulomb"
 """The law of a material that names none."""
+LAWS = (MOHR_COULOMB, "von-mises")
+"""The names of all laws."""
 USUAL_YOUNG = 2.0e6
 """Young's modulus [Pa] of a material that gives none, at least."""
 STIFFEST = 1.0e15
@@ -77,7 +79,7 @@ class Material(Record):
         Material(law="von-mises", friction_deg=0.0, constants={"strength": 2000.0}, density=1900.0)
     """
 
-    law: str = MOHR_COULOMB
+    law: Annotated[str, Bounds(f"one of {', '.join(LAWS)}", words=LAWS)] = MOHR_COULOMB
     """Law of strength: this one, or the name of another of `mpm.laws`, whose keys then stand beside density and
     elasticity in place of those of Mohr and Coulomb."""
     constants: dict[str, float] = field(default_factory=dict, hash=False)

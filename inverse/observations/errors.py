@@ -32,7 +32,7 @@ def read_noise(given: Any) -> Any:
         kind = given.get("kind")
         require(kind == "student", "kind", "student; a number or a percentage is normal noise", repr(kind))
         return from_mapping(Student, {key: value for key, value in given.items() if key != "kind"})
-    stands = isinstance(given, float | int | str) and not isinstance(given, bool)
+    stands = isinstance(given, float | int | str | Student) and not isinstance(given, bool)
     require(stands, "", "a number, a percentage such as 3% or a table with the kind student", repr(given))
     return given
 

@@ -20,6 +20,7 @@ from mpm.output.recording import Recording
 if TYPE_CHECKING:
     from mpm.arrays.batch import Batch
 
+WHAT = "a checkpoint of this version of Talus; delete the file to begin anew"
 SCALARS: dict[str, Callable[[Any], Any]] = {"run": str, "frame": int, "steps": int, "wall_s": float}
 """What a checkpoint holds besides arrays, and of which type."""
 
@@ -60,7 +61,7 @@ class Checkpoint:
         for key, part in arrays_of(batch, self.frame).items():
             array = self.arrays.get(key)
             if array is None or (array.shape, array.dtype) != (part.shape, part.dtype):
-                raise InputError("expected a checkpoint of this version of Talus", key=key)
+                raise InputError(f"expected {WHAT}", key=key)
             part[...] = array
         if batch.file is not None:
             # Where the first frame is kept, it is in the file already.
@@ -76,10 +77,10 @@ class Checkpoint:
     @staticmethod
     def load(path: Path) -> "Checkpoint":
         """Read what `save` wrote; never runs a pickle. Raises InputError, which names the file."""
-        arrays = read_arrays(path, what="a checkpoint")
+        arrays = read_arrays(path, what=WHAT)
         if not SCALARS.keys() <= arrays.keys():
-            raise InputError("expected a checkpoint of this version of Talus", where=str(path))
-        with reading(path, "a checkpoint"):
+            raise InputError(f"expected {WHAT}", where=str(path))
+        with reading(path, WHAT):
             scalars: dict[str, Any] = {name: kind(arrays.pop(name)) for name, kind in SCALARS.items()}
         return Checkpoint(arrays=arrays, **scalars)
 

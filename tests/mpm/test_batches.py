@@ -2,19 +2,21 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
-from datasets import Mass, Material, Scene, Trajectory
+from datasets import Mass, Material, Scene, Trajectory, read_scene
 from datasets.errors import WorkFailed
 from datasets.scene.particles import Particles, initial_particles, particle_count
-from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
+from mpm import WITH_FIELDS, Recording, ScenesFailed, simulate, simulate_each, simulate_many
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Offset, Worker
 from mpm.kernel import SUMMED, compute
 from mpm.runtime import parts_for, start, workers_for
 from mpm.simulation import LARGE, Crew
+from tests.refusals import refused
 from tests.scenes import COLUMN, SAND, box, room
 
 TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
@@ -47,6 +49,30 @@ def test_one_that_fails_fails_alone() -> None:
     assert [type(outcome) for outcome in caught.value.outcomes] == [Trajectory, WorkFailed, Trajectory]
     with pytest.raises(ScenesFailed, match=r"^scene 0 \(and 1 more of 2\) failed: "):
         simulate_many([box(TOO_FAST, material=SOFT, seed=1), box(TOO_FAST, material=SOFT, seed=2)])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"presision": "f64"}, "presision: expected a known key, did you mean 'precision'?"),
+        ({"foo": 1}, "foo: expected a known key: precision or threads or arch or record or progress or file"),
+        ({"precision": "f16"}, "precision: expected one of f32, f64, got 'f16'"),
+        ({"arch": "gpu"}, "arch: expected one of cpu, cuda, got 'gpu'"),
+        ({"record": "all"}, "record: expected a Recording, got 'all'"),
+        ({"threads": 0}, "threads: expected a whole number from 1 on, got 0"),
+    ],
+)
+def test_an_option_that_is_none_is_named(options: dict[str, Any], said: str) -> None:
+    refused(simulate, box(), **options, said=said)
+    refused(simulate_each, [box(), box()], **options, said=said)
+
+
+def test_scenes_by_name() -> None:
+    refused(simulate, "column-tal-42", said="did you mean 'column-tall-42'?")
+    refused(simulate_many, [box(), "column-tal-42"], said="did you mean 'column-tall-42'?")
+    refused(simulate_many, [], said="scenes: expected one scene at least, got none")
+    flow = simulate("column-tall-42", record=Recording(frames="last"), threads=1)
+    assert flow.scene == read_scene("column-tall-42")
 
 
 @pytest.mark.slow

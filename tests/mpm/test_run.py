@@ -1,6 +1,7 @@
 """The command that runs one scene, its cache of kernels; runs that are broken off and frames in a file, to the bit."""
 
 import dataclasses
+import errno
 import json
 import os
 import signal
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from tqdm import tqdm
 
-from datasets import Baffle, Mass, Scene, Trajectory
+from datasets import Baffle, Mass, Scene, Trajectory, files
 from datasets.command_line import run
 from datasets.flow.array_files import FrameWriter
 from mpm import WITH_FIELDS, Recording, safety, simulate, simulation
@@ -37,9 +38,12 @@ def ran(folder: Path, text: str = SHORT, *flags: str) -> int:
     return run(command, "mpm.run", [str(folder / "pile.toml"), "--out", str(folder / "out"), *flags])
 
 
-def test_it_leaves_a_trajectory_and_a_summary(tmp_path: Path) -> None:
+def test_it_leaves_a_trajectory_and_a_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tmp_path = tmp_path / "two words"
+    tmp_path.mkdir()
     out = tmp_path / "out"
     assert ran(tmp_path) == 0
+    assert f"python -m validation.view '{out}' shows it" in capsys.readouterr().out
     trajectory = Trajectory.load(out / "trajectory.npz")
     assert trajectory.positions.shape == (5, 400, 2)
     summary = json.loads((out / "summary.json").read_text())
@@ -220,15 +224,20 @@ def test_another_run_is_refused(checkpoint: Checkpoint, scene: Scene, options: A
 @pytest.mark.parametrize("change", [{"run": None}, {"frame": np.array("{")}])
 def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, change: dict[str, Any]) -> None:
     path = tmp_path / "checkpoint.npz"
-    refused(Checkpoint.load, path, said="expected a whole NPZ of plain arrays (a checkpoint), there is no such file")
+    refused(Checkpoint.load, path, said="expected a whole NPZ of plain arrays (a checkpoint")
     checkpoint.save(path)
     with np.load(path, allow_pickle=False) as file:
         arrays = {key: value for key, value in (dict(file) | change).items() if value is not None}
     np.savez(path, **arrays)
-    assert refused(Checkpoint.load, path).where == str(path)
+    assert refused(Checkpoint.load, path, said="; delete the file to begin anew").where == str(path)
 
 
 LONG = SCENE.replace("duration = 0.25", "duration = 0.4\nframe_dt = 0.005")
+
+
+def full(_: Path) -> None:
+    """A disk that has no room for the last bytes of a file."""
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.mark.parametrize(
@@ -263,10 +272,29 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
     name = "trajectory.h5" if "--hdf5" in flags else "trajectory.npz"
     if "--hdf5" in flags:
         assert len(Trajectory.load(out / name).positions) == 2
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "flush", full)
+        assert run(command, "mpm.run", [str(scene), "--out", str(out), *flags]) == 1
+    assert f"{name}: No space left on device" in capsys.readouterr().err
+    assert (out / "checkpoint.npz").exists()
+    assert not (out / "summary.json").exists()
     for folder in (out, tmp_path / "whole"):
         assert run(command, "mpm.run", [str(scene), "--out", str(folder), *flags]) == 0
     assert sorted(file.name for file in out.iterdir()) == ["summary.json", name]
     same(Trajectory.load(out / name), Trajectory.load(tmp_path / "whole" / name))
+
+
+def test_what_was_written_of_a_former_flow_goes(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert ran(tmp_path, SHORT.replace("duration = 0.02", "duration = 0.005"), "--vtk", "--forces") == 0
+    for name in ("notes.txt", "vtk/particles.vtp"):
+        (out / name).write_text("somebody's")
+    assert ran(tmp_path) == 0
+    left = ["notes.txt", "summary.json", "trajectory.npz", "vtk", "vtk/particles.vtp"]
+    assert sorted(str(path.relative_to(out)) for path in out.rglob("*")) == left
+    (out / "vtk" / "particles.vtp").unlink()
+    assert ran(tmp_path, SHORT, "--hdf5") == 0
+    assert sorted(path.name for path in out.iterdir()) == ["notes.txt", "summary.json", "trajectory.h5"]
 
 
 def test_a_checkpoint_of_another_run_is_named_and_left(

@@ -95,6 +95,17 @@ def test_damage_within_a_frame_is_one_line_when_it_is_read(flow: Trajectory, tmp
     refused(lambda: [positions[frame] for frame in range(len(positions))], said="flow.h5: positions: expected a")
 
 
+def test_one_flipped_byte_is_found_where_frames_from_everywhere_are_used(flow: Trajectory, tmp_path: Path) -> None:
+    path = tmp_path / "flow.npz"
+    flow.save(path)
+    open_trajectory(path, sound=True)
+    content = bytearray(path.read_bytes())
+    content[content.index(flow.positions[20].tobytes())] ^= 1
+    path.write_bytes(content)
+    for read in (read_trajectory, lambda name: open_trajectory(name, sound=True)):
+        assert refused(read, path, said="Bad CRC-32").key == "positions"
+
+
 @pytest.mark.parametrize("name", ["flow.npz", "flow.h5"])
 def test_a_flow_that_blew_up_is_refused_before_its_frames_are_read(flow: Trajectory, tmp_path: Path, name: str) -> None:
     """A page of it was written, with a warning of NumPy."""

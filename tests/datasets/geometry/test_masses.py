@@ -108,6 +108,7 @@ REFUSED: list[tuple[int, list[Mass], list[Solid], str]] = [
     (2, [polygon((0.1, 0.1), (0.5, 0.5), (0.5, 0.1), (0.1, 0.5))], [], "masses[0].vertices: expected a polygon that"),
     (2, [polygon((0.1, 0.1), (2.5, 0.1), (0.5, 0.5))], [], "masses[0]: expected a polygon inside the domain"),
     (2, [Mass(kind="layer", thickness=-1.0)], [], "masses[0].thickness: expected thicknesses in m of at least 0"),
+    (2, [dataclasses.replace(BOX, thickness=0.1)], [], "masses[0].thickness: expected no such key of kind box"),
     (2, [Mass(lower=(0.1, 0.1))], [], "masses[0].size: expected a value, the key is missing"),
     (3, [BALL, LAYER_BESIDE], [], "masses[1]: expected a layer that lies in the box"),
     (3, [OPEN], [], "masses[0].triangles: expected a closed surface, got one with 3 open edges"),
