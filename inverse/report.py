@@ -89,9 +89,7 @@ def verdict(result: Result) -> str:
     """The verdict, with the distance from the target and the predictive interval."""
     first, runs = result.answers[0], len(result.answers[0].checks)
     if runs == 0:
-        return (
-            f"**Unconfirmed**: the {result.forward} answers unchecked; `python -m validation.loop` checks by MPM runs."
-        )
+        return f"**Unconfirmed**: the {result.forward} answers unchecked; `python -m validation.loop` runs the checks."
     which = f"the mean of {runs} MPM runs beside the answer, carried over to it,"
     if runs == 1:
         which = f"the MPM run {'at' if first.checks[0].purpose is Purpose.CHECK else 'nearest to'} the answer"

@@ -165,14 +165,19 @@ def write_flow(
             write_vtk(trajectory, out / "vtk", progress=True)
         if forces:
             print("\n".join(spoken(write_forces(trajectory, out))))
-    print_summary(summary, out)
+    print_summary(summary, out, asked=record.until_rest)
     return 0
 
 
-def print_summary(summary: Mapping[str, Any], out: Path) -> None:
-    """Where the flow came to rest, what it cost, how to look at it, and what must be known of it besides."""
+def print_summary(summary: Mapping[str, Any], out: Path, *, asked: bool) -> None:
+    """Where the flow came to rest, what it cost, how to look at it, and what must be known of it besides.
+
+    asked: for a flow at rest.
+    """
     rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
-    rest = f"at rest after {summary['rest_time']:g} s, " if summary["rest_time"] is not None else ""
+    rest = "not at rest when its duration ended, " if asked else ""
+    if summary["rest_time"] is not None:
+        rest = f"at rest after {summary['rest_time']:g} s, "
     print(
         f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m: {rest}{summary['particles']} particles, "
         f"{summary['steps']} steps in {summary['wall_s']:.2f} s ({rate:.1f} million particle-steps a second), "

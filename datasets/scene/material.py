@@ -30,8 +30,6 @@ Depth = TypeVar("Depth", float, NDArray[np.float64])
 
 MOHR_COULOMB = "mohr-coulomb"
 """The law of a material that names none."""
-LAWS = (MOHR_COULOMB, "von-mises")
-"""The names of all laws."""
 USUAL_YOUNG = 2.0e6
 """Young's modulus [Pa] of a material that gives none, at least."""
 STIFFEST = 1.0e15
@@ -79,7 +77,7 @@ class Material(Record):
         Material(law="von-mises", friction_deg=0.0, constants={"strength": 2000.0}, density=1900.0)
     """
 
-    law: Annotated[str, Bounds(f"one of {', '.join(LAWS)}", words=LAWS)] = MOHR_COULOMB
+    law: str = MOHR_COULOMB
     """Law of strength: this one, or the name of another of `mpm.laws`, whose keys then stand beside density and
     elasticity in place of those of Mohr and Coulomb."""
     constants: dict[str, float] = field(default_factory=dict, hash=False)
@@ -153,8 +151,8 @@ class Material(Record):
             for member in dataclasses.fields(self):
                 value, usual = getattr(self, member.name), 0.0 if member.name == "friction_deg" else member.default
                 if member.name not in SHARED and value != usual:
-                    message = f"expected none beside law = {self.law!r}, got {value!r}"
-                    raise InputError(message, key=f"material.{member.name}")
+                    message = f"expected {MOHR_COULOMB} beside {member.name} = {value!r}, got {self.law!r}"
+                    raise InputError(message, key="material.law")
         highest = ANGLES[self.angle]
         kind = "an angle" if self.angle == "triaxial" else "the angle of a slope"
         require(0.0 <= self.friction_deg < highest, "friction_deg", f"{kind} in [0, {highest:g}) degrees")

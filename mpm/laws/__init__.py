@@ -1,4 +1,4 @@
-"""Laws of strength: a module here for each of `datasets.scene.material.LAWS`; a kernel contains the law of its scenes.
+"""Laws of strength: a module here for each, found by its name; a kernel contains the law of its scenes alone.
 
 `[material] law = "NAME"` is the module of that name, with _ for -. What it has:
 
@@ -17,6 +17,7 @@ The functions in lanes are straight-line code, from which `mpm.adjoint` makes th
 stresses also asks where nothing yields and where two stresses fell alike: `elastic_at`, `fell_alike`.
 """
 
+import pkgutil
 from collections.abc import Iterable
 from importlib import import_module
 from typing import Any
@@ -25,10 +26,14 @@ from datasets.errors import keyed, require
 from datasets.scene.material import Material
 from datasets.schema import from_mapping
 
+LAWS = {each.name.replace("_", "-"): f"{__name__}.{each.name}" for each in pkgutil.iter_modules(__path__)}
+"""The modules by the names of their laws."""
+
 
 def law_named(name: str) -> Any:
-    """The module of a law; imported here, because it needs Taichi."""
-    return import_module(f"{__name__}.{name.replace('-', '_')}")
+    """The module of a law; imported here, because it needs Taichi. Raises InputError for a name that none has."""
+    require(name in LAWS, "material.law", f"one of {', '.join(LAWS)}", repr(name))
+    return import_module(LAWS[name])
 
 
 def parameters_of(material: Material) -> Any:

@@ -63,7 +63,6 @@ CUT_OFF = {"residual_tension_cutoff": 3.1, "softening_length": 1.0}
     ("key", "wrong"),
     [
         ("angle", {"angle": "table"}),
-        ("law: expected one of mohr-coulomb, von-mises, got 'mohrcoulomb'", {"law": "mohrcoulomb"}),
         ("friction_deg: expected an angle above 0 degrees where there is no", {"friction_deg": 0.0, "cohesion": 0.0}),
         ("friction_deg: expected an angle in [0, 90)", {"friction_deg": 90.0}),
         ("dilation_deg", {"friction_deg": 0.0, "dilation_deg": 1.0}),

@@ -83,8 +83,8 @@ def test_a_bar_yields_at_the_root_of_three_times_the_strength_in_shear() -> None
 @pytest.mark.parametrize(
     ("said", "changes"),
     [
-        ("material.friction_deg: expected none beside law = 'von-mises', got 30", {"friction_deg": 30.0}),
-        ("material.cohesion: expected none beside law = 'von-mises', got 5", {"cohesion": 5.0}),
+        ("material.law: expected mohr-coulomb beside friction_deg = 30.0, got 'von-mises'", {"friction_deg": 30.0}),
+        ("material.law: expected mohr-coulomb beside cohesion = 5.0, got 'von-mises'", {"cohesion": 5.0}),
         ("material.strength: expected a value, the key is missing", {"strength": None}),
         ("material.strength: expected a shear strength in Pa, above 0 up to 1e+15, got 0", {"strength": 0.0}),
         ("material.hardening: expected a modulus in Pa, at least 0 up to 1e+15, got -1", {"hardening": -1.0}),
