@@ -124,9 +124,9 @@ def test_fields_rest_and_precision(tmp_path: Path, capsys: pytest.CaptureFixture
     summary = json.loads((out / "summary.json").read_text())
     assert 0.0 < summary["rest_time"] < 2.0
     assert summary["precision"] == "f64"
+    assert Trajectory.load(out / "trajectory.npz").velocities is not None
     assert ran(tmp_path, SHORT, "--until-rest") == 0
     assert "not at rest when its duration ended" in capsys.readouterr().out
-    assert Trajectory.load(out / "trajectory.npz").velocities is not None
 
 
 START = """
