@@ -32,17 +32,21 @@ def write(result: Result, path: Path) -> None:
     points = posterior.samples.points[systematic(posterior.samples.weights, len(posterior.samples.points), rng)]
     shares = rng.random(points.shape)
     prior = shares if problem.prior is None else problem.prior.at(shares)
-    with replacing(path) as part, h5py.File(part, "w", track_order=True) as file:
+    # In memory, and written by Python: where the disk is full HDF5 ends the process.
+    with h5py.File(path.name, "w", driver="core", backing_store=False, track_order=True) as file:
         for name, samples in (("posterior", chains(points)), ("prior", prior[None])):
             columns = zip(problem.numbers, np.moveaxis(problem.box.at(samples), -1, 0), strict=True)
             fill(file, name, {number.name: (values, number.kind.unit) for number, values in columns}, CHAINS)
         observed = observation.scale * result.target.values
-        if len(observed) > MAX_NUMBERS or len(posterior.reduction.mean) != len(observed):
-            return
-        shown = chains(observation.scale * predictive(posterior, points, rng))
-        for name, values, axes in (("posterior_predictive", shown, CHAINS), ("observed_data", observed, ())):
-            parts = {seen.name: (values[..., seen.numbers], seen.observation.unit) for seen in observation.parts}
-            fill(file, name, parts, axes)
+        if len(observed) <= MAX_NUMBERS and len(posterior.reduction.mean) == len(observed):
+            shown = chains(observation.scale * predictive(posterior, points, rng))
+            for name, values, axes in (("posterior_predictive", shown, CHAINS), ("observed_data", observed, ())):
+                parts = {seen.name: (values[..., seen.numbers], seen.observation.unit) for seen in observation.parts}
+                fill(file, name, parts, axes)
+        file.flush()
+        image = file.id.get_file_image()
+    with replacing(path) as part:
+        part.write_bytes(image)
 
 
 def chains(samples: Matrix) -> Matrix:
