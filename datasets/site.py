@@ -106,7 +106,7 @@ def site(
     plan = float(np.prod((upper - lower)[::2]))
     # A layer thinner than a particle's place is one particle thick.
     few = 2.0 * max((volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(taken.area / PARTICLES))
-    wanted = min(max(thick) / ACROSS, math.sqrt(taken.area) / ACROSS)
+    wanted = min(max(thick), math.sqrt(taken.area)) / ACROSS
     edge = cell or round_up(max(wanted, few, math.sqrt(plan / COLUMNS)))
     beside = AROUND * edge * np.array([1.0, 0.0, 1.0])
     upper[1] += max(largest(mass["thickness"]) for mass in masses)
@@ -253,18 +253,18 @@ def round_up(length: float) -> float:
     return float(f"{math.ceil(length / unit - 1.0e-9) * unit:.6g}")
 
 
-def least_of(given: float | Path, flag: str, expected: str, *, above: float) -> float:
-    """The least of a coefficient, or of a raster of it. Raises InputError unless it lies above a number."""
+def least_of(given: float | Path, flag: str, expected: str, *, zero: bool) -> float:
+    """The least of a coefficient, or of a raster of it. Raises InputError below 0, and at 0 unless that is admitted."""
     from datasets.exchange.rasters import read_raster
 
     if not isinstance(given, Path):
-        require(above < given < math.inf, flag, expected, given)
+        require(0.0 <= given < math.inf and (zero or given > 0.0), flag, expected, given)
         return given
     with naming(given, flag), warnings.catch_warnings():
         # What is to be said of the file is said where the scene reads it.
         warnings.simplefilter("ignore")
         least = float(np.nanmin(read_raster(given, coefficients=True).values))
-        require(above < least, "", expected, least)
+        require(least > 0.0 or (zero and least == 0.0), "", expected, least)
     return least
 
 
@@ -301,9 +301,9 @@ def command(
         given = Path(str(path).partition(LAYER)[0]).resolve()
         kept = given not in (out.resolve(), out.with_suffix(HOLELESS).resolve())
         require(kept, "--out", f"a name beside which {path} stays as it is", out)
-    least = least_of(friction, "--friction", "a coefficient of at least 0", above=-sys.float_info.min)
+    least = least_of(friction, "--friction", "a coefficient of at least 0", zero=True)
     if turbulence is not None:
-        least_of(turbulence, "--turbulence", "a coefficient above 0 m/s^2", above=0.0)
+        least_of(turbulence, "--turbulence", "a coefficient above 0 m/s^2", zero=False)
     strong = 0.0 < internal_friction < 90.0
     require(strong, "--internal-friction", "an angle above 0 and below 90 degrees", internal_friction)
     require(cell is None or 0.0 < cell < math.inf, "--cell", "a length above 0 m", cell)

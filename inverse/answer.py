@@ -25,8 +25,6 @@ IDENTIFIABLE = 0.3
 """Half-width over the range, up to which a combination of parameters is identifiable."""
 UNIFORM = 0.475
 """The same of a uniform prior."""
-AT_BOUND = 0.02
-"""Distance from a bound, as a fraction of the range, at which parameters lie at it."""
 
 
 class Verdict(StrEnum):

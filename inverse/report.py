@@ -89,8 +89,8 @@ def verdict(result: Result) -> str:
     """The verdict, with the distance from the target and the predictive interval."""
     first, runs = result.answers[0], len(result.answers[0].checks)
     if runs == 0:
-        return f"**Unconfirmed**: the {result.forward} answers unchecked; `python -m validation.loop` runs the checks."
-    which = f"the mean of {runs} MPM runs beside the answer, carried over to it,"
+        return "**Unconfirmed**: no run of the MPM checks this answer; `python -m validation.loop` makes such runs."
+    which = f"the mean of {runs} MPM runs near the answer, corrected for their distance from it,"
     if runs == 1:
         which = f"the MPM run {'at' if first.checks[0].purpose is Purpose.CHECK else 'nearest to'} the answer"
     count = len(result.answers)

@@ -153,10 +153,11 @@ def open_frames(path: Path, key: str, *, sound: bool = False) -> NDArray[Any]:
     with open_npz(path, WHAT) as archive, reading(path, WHAT, key), path.open("rb") as file:
         place = member(archive, key)
         if place.compress_type == zipfile.ZIP_STORED:
-            with archive.open(place) as stream:
-                # At its end the library compares the sums.
-                while sound and stream.read(PIECE):
-                    pass
+            if sound:
+                with archive.open(place) as stream:
+                    # At its end the library compares the sums.
+                    while stream.read(PIECE):
+                        pass
             # NumPy's own header stands behind that of the archive.
             file.seek(place.header_offset)
             file.seek(place.header_offset + file.read(HEADERS).index(np.lib.format.MAGIC_PREFIX))

@@ -260,7 +260,8 @@ def measured(positions: Tensor, volume: Tensor) -> Tensor:
         x, order = positions[:, axis].sort()
         ordered = volume[order]
         for line, along in ((x, ordered), (-x.flip(0), ordered.flip(0))):
-            lengths.append((torch.from_numpy(measures.tail_weights(along.cpu().numpy())).to(x) @ line).unsqueeze(0))
+            fitted = torch.from_numpy(measures.tail_weights(along.cpu().numpy())).to(x) @ line
+            lengths.append(torch.minimum(fitted, line[-1]).unsqueeze(0))
         middle = ordered.cumsum(dim=0) - 0.5 * ordered
         share = (torch.arange(measures.SHARES).to(x) + 0.5) / measures.SHARES * ordered.sum()
         after = torch.searchsorted(middle, share).clamp(1, len(x) - 1)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from datasets.errors import InputError
-from inverse.answer import AT_BOUND, IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
+from inverse.answer import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
 from inverse.parameters import Vector
@@ -22,6 +22,8 @@ from validation.loop.task import Loop, Task
 
 CLOSE = 0.35
 """Of a half-width: checks this close to an answer are checks of it."""
+AT_BOUND = 0.02
+"""Distance from a bound, as a fraction of the range, at which parameters lie at it."""
 EXCLUDED = 1e-3
 """Probability of the nearest fit of all, at a bound, below which no parameters between the bounds give the target."""
 SETTLED = 0.05

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import h5py
 import numpy as np
@@ -15,7 +17,7 @@ import pytest
 from datasets import Mass, Trajectory
 from datasets.errors import WorkFailed
 from datasets.lock import locked
-from inverse import Parameter, Prior, Problem, TargetSettings, inference_data, plot, save
+from inverse import Parameter, Prior, Problem, TargetSettings, inference_data, plot, report, save
 from inverse.answer import Purpose, Verdict
 from inverse.observations import FrontSettings, PassedSettings, ProfileSettings
 from inverse.posterior.settings import CONSTANTS
@@ -92,6 +94,32 @@ def test_a_target_outside_the_bounds_is_unreachable(tmp_path: Path, beyond: floa
     save(result, tmp_path)
     with pytest.raises(WorkFailed, match="unreachable"):
         print_outcome(result, tmp_path)
+
+
+def test_a_bound_is_the_reason_of_many_numbers_too(tmp_path: Path) -> None:
+    """By the factor of their misfit the interval is wider, and its median is no longer at the bound."""
+    case = wedge(tmp_path, value=length(5.0), scatter=0.001)
+    fronts = tuple(FrontSettings(value=value, noise=0.004) for value in np.linspace(0.98, 1.02, 6) * length(5.0))
+    problem = replace(case.problem, observations=fronts, surrogate=Surrogate.NONE)
+    result = solve(problem, tmp_path, simulate=case.mpm)
+    assert result.verdict is Verdict.UNREACHABLE
+    assert result.answers[0].fit.applied > 2.0
+    assert result.unknowns["friction_deg"] > 12.0 + 0.02 * 40.0
+
+
+@pytest.mark.parametrize(
+    ("cells", "said"), [(0.0014, ""), (0.004, "cells of 0.0025 m (64 times the work)"), (1.0, "falls with the cells")]
+)
+def test_finer_cells_are_advised_where_they_help(cells: float, said: str) -> None:
+    fit: Any = SimpleNamespace(noise=0.001, cells=cells)
+    scene = SimpleNamespace(domain=SimpleNamespace(cell=0.01), dimension=2)
+    answer = SimpleNamespace(fit=fit, checks=[SimpleNamespace(seconds=0.0)])
+    result: Any = SimpleNamespace(
+        answers=[answer], problem=SimpleNamespace(scene=scene), target=SimpleNamespace(cell=None)
+    )
+    text = report.finer(result)
+    assert said in text
+    assert bool(said) == bool(text)
 
 
 def test_every_answer_is_named_and_what_would_decide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
