@@ -28,7 +28,7 @@ from datasets.scene.particles import particle_volumes
 from inverse.fields.posterior import FieldPosterior
 from inverse.observations.deposit import Passed, Toe
 from inverse.observations.outline import Boundary
-from inverse.observations.profile import Profile
+from inverse.observations.profile import ProfileSettings
 from inverse.parameters.field import LABELS
 from inverse.residuals import NORMAL, OUTLIER, Residuals, residuals
 from inverse.result import Result
@@ -177,7 +177,7 @@ def profiles(axis: Axes, result: Result, shown: Mapping[str, Deposit], scene: Sc
     """The height profiles of all deposits, and what is known of a target."""
     target, domain = result.target, scene.domain
     spacing = min(2.0 * domain.cell, 0.5 * domain.size[0])
-    profile = Profile(scene, spacing)
+    profile = ProfileSettings(spacing=spacing).operator(scene)
     for name, deposit in shown.items():
         style = "-" if name == "target" else "--" if name == "surrogate" else "-."
         axis.plot(profile.stations, profile.heights(deposit), style, color=COLOURS[name], label=name, linewidth=1.4)

@@ -13,7 +13,7 @@ from datasets.errors import require
 from datasets.flow import measures
 from datasets.scene import Scene
 from datasets.scene.particles import particle_volumes
-from inverse.observations.observation import Numbers, Observation, SmoothObservation, Values, fitted_tail
+from inverse.observations.observation import Observation, SmoothObservation, Values, fitted_tail
 from inverse.observations.settings import LengthsSettings, ObservationSettings, SeriesSettings
 
 SHARE_SCATTER = 0.005
@@ -26,8 +26,8 @@ class Front(SmoothObservation):
     kind = "front"
     label = "the front, the x that 99.5 % of the volume is behind"
 
-    def __init__(self, scene: Scene, times: Numbers = None) -> None:
-        super().__init__(scene, times)
+    def __init__(self, scene: Scene, settings: "FrontSettings") -> None:
+        super().__init__(scene, settings)
         self.limits = (0.0, scene.domain.size[0])
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
@@ -41,7 +41,7 @@ class Front(SmoothObservation):
 class FrontSettings(SeriesSettings, LengthsSettings):
     """Of `Front` [m]; the table has time and front."""
 
-    operator_type, options = Front, ("times",)
+    operator_type = Front
     places: ClassVar = {"value": 0, "values": 0}
     columns: ClassVar = {"time": "times", "front": "values"}
 
@@ -52,8 +52,8 @@ class Runout(Observation):
     kind = "runout"
     label = "the runout, the largest x of the deposit"
 
-    def __init__(self, scene: Scene) -> None:
-        super().__init__(scene)
+    def __init__(self, scene: Scene, settings: "RunoutSettings") -> None:
+        super().__init__(scene, settings)
         self.limits, self.width = (0.0, scene.domain.size[0]), 0.25 * scene.domain.cell
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
@@ -86,8 +86,8 @@ class Toe(Observation):
     kind = "toe"
     label = "the toe, the centroid of the furthest 10 % of the particles"
 
-    def __init__(self, scene: Scene) -> None:
-        super().__init__(scene)
+    def __init__(self, scene: Scene, settings: "ToeSettings") -> None:
+        super().__init__(scene, settings)
         self.width, self.count, self.components = 0.5 * scene.domain.cell, scene.dimension, scene.dimension
         self.limits = (0.0, np.array(scene.domain.size))
 
@@ -131,9 +131,9 @@ class Passed(Observation):
     unit = ""
     limits = (0.0, 1.0)
 
-    def __init__(self, scene: Scene, line: float, width: float | None = None) -> None:
-        super().__init__(scene)
-        length = scene.domain.size[0]
+    def __init__(self, scene: Scene, settings: "PassedSettings") -> None:
+        super().__init__(scene, settings)
+        length, line, width = scene.domain.size[0], settings.line, settings.width
         require(0.0 < line < length, "line", f"a length in (0, {length:g}) m", line)
         require(width is None or 0.0 < width <= length, "width", f"a length in (0, {length:g}] m", width)
         self.line, self.width = line, width or scene.domain.cell
@@ -164,7 +164,7 @@ class PassedSettings(ObservationSettings):
     width: float | None = None
     """Length over which the share is smoothed for gradients [m]; a cell of the scene where absent."""
 
-    operator_type, options = Passed, ("line", "width")
+    operator_type = Passed
     places: ClassVar = {"line": 0}
 
 
@@ -175,8 +175,8 @@ class FinalPositions(SmoothObservation):
     label = "the final position of every particle of the deposit"
     every_particle = True
 
-    def __init__(self, scene: Scene) -> None:
-        super().__init__(scene)
+    def __init__(self, scene: Scene, settings: "DepositSettings") -> None:
+        super().__init__(scene, settings)
         self.components = scene.dimension
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:

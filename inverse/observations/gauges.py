@@ -19,11 +19,9 @@ from datasets.scene.grid_field import Floats
 from datasets.scene.parts import Length
 from datasets.scene.water import saturated
 from inverse.observations.measured_profile import require_inside
-from inverse.observations.observation import Numbers, Rollout, SmoothObservation, Values, at_times
+from inverse.observations.observation import Rollout, SmoothObservation, Values, at_times
 from inverse.observations.settings import LengthsSettings, ObservationSettings, SeriesSettings
 
-SPACING = 0.02
-"""Half width over which a gauge takes the mean height [m]."""
 AROUND, LEAST, FLAT = 2.0, 0.05, 1.0e-3
 """Half width over which a gauge takes a pressure [cells], share of it that is filled below which it is no flow, and
 variance of heights over the square of that width that does not count as a slope."""
@@ -41,24 +39,15 @@ class Gauges(SmoothObservation):
     kind = "height"
     label = "the height at gauges"
 
-    def __init__(
-        self,
-        scene: Scene,
-        x: Numbers,
-        *,
-        times: Numbers = None,
-        z: float | None = None,
-        spacing: float = SPACING,
-        count: int | None = None,
-    ) -> None:
-        super().__init__(scene, times)
-        require(x is not None, "x", "the x [m] of the gauges", "none")
-        self.x = require_inside(np.array(x), scene.domain.size[0])
+    def __init__(self, scene: Scene, settings: "GaugesSettings") -> None:
+        super().__init__(scene, settings)
+        require(settings.x is not None, "x", "the x [m] of the gauges", "none")
+        self.x = require_inside(np.array(settings.x), scene.domain.size[0])
         if self.times is not None:
-            self.x, self.times = read_at(self.x, self.times, count)
-        inside = z is None or (scene.dimension == 3 and 0.0 <= z <= scene.domain.size[2])
+            self.x, self.times = read_at(self.x, self.times, settings.count)
+        self.z, self.spacing, self.count = settings.z, settings.spacing, len(self.x)
+        inside = (z := settings.z) is None or (scene.dimension == 3 and 0.0 <= z <= scene.domain.size[2])
         require(inside, "z", "a z inside a box in 3D", z)
-        self.z, self.spacing, self.count = z, spacing, len(self.x)
         # Above or below its datum a gauge at dry ground errs by little; heights in another unit lie beyond the box.
         self.limits = (-scene.domain.size[1], scene.domain.size[1])
         self.area = hat_area(self.x, self.spacing, scene.domain.size[0])
@@ -95,12 +84,12 @@ class GaugesSettings(LengthsSettings):
     """Of the gauges in 3D [m]; where absent they take the mean across the flow."""
     times: tuple[float, ...] | None = None
     """When [s] after the start; where absent, in the end."""
-    spacing: Length = SPACING
+    spacing: Length = 0.02
     """Half width over which a gauge takes the mean height [m]."""
     datum: float = 0.0
     """Height of the floor in a table [`unit`]."""
 
-    operator_type, options = Gauges, ("x", "z", "times", "spacing", "count")
+    operator_type = Gauges
     places: ClassVar = {"x": 0, "z": 2}
     columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
@@ -118,9 +107,9 @@ class Impulse(SmoothObservation):
     unit, scatter = "N s", 0.05
     over_time, of_positions = True, False
 
-    def __init__(self, scene: Scene, *, solid: int | str = 0, axis: int = 0, times: Numbers = None) -> None:
-        super().__init__(scene, times)
-        names = solid_names(scene)
+    def __init__(self, scene: Scene, settings: "ImpulseSettings | PeakForceSettings") -> None:
+        super().__init__(scene, settings)
+        names, solid, axis = solid_names(scene), settings.solid, settings.axis
         number = names.index(solid) if isinstance(solid, str) and solid in names else solid
         if isinstance(number, str) or not 0 <= number < len(names):
             expected = ", ".join(names) or "none, the scene has no solids"
@@ -153,7 +142,7 @@ class ImpulseSettings(SeriesSettings):
     axis: int = 0
     """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
 
-    operator_type, options = Impulse, ("solid", "axis", "times")
+    operator_type = Impulse
     columns: ClassVar = {"time": "times", "impulse": "values"}
 
 
@@ -170,11 +159,11 @@ class PeakForce(Impulse):
     unit = "N"
     limits = (0.0, math.inf)
 
-    def __init__(self, scene: Scene, *, window: float, solid: int | str = 0, axis: int = 0) -> None:
-        super().__init__(scene, solid=solid, axis=axis)
+    def __init__(self, scene: Scene, settings: "PeakForceSettings") -> None:
+        super().__init__(scene, settings)
+        self.window = window = settings.window
         expected = f"a time from {scene.frame_dt:g} s, a frame, to {scene.duration:g} s, which the scene lasts"
         require(scene.frame_dt * (1.0 - 1e-9) <= window <= scene.duration, "window", expected, f"{window:g} s")
-        self.window = window
 
     def of_series(self, impulses: Any, time: Values) -> Any:
         impulse = self.recorded(impulses)
@@ -198,7 +187,7 @@ class PeakForceSettings(ObservationSettings):
     axis: int = 0
     """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
 
-    operator_type, options = PeakForce, ("window", "solid", "axis")
+    operator_type = PeakForce
 
 
 class PorePressure(SmoothObservation):
@@ -217,23 +206,14 @@ class PorePressure(SmoothObservation):
     limits = (0.0, math.inf)
     over_time, of_positions, of_water = True, False, True
 
-    def __init__(
-        self,
-        scene: Scene,
-        x: Numbers,
-        *,
-        y: Numbers = None,
-        z: Numbers = None,
-        times: Numbers,
-        spacing: float | None = None,
-        count: int | None = None,
-    ) -> None:
-        super().__init__(scene, times)
+    def __init__(self, scene: Scene, settings: "PorePressureSettings") -> None:
+        super().__init__(scene, settings)
+        given = {key: getattr(settings, key) for key in "xyz"}
         require(saturated(scene) is not None, "kind", "a scene with saturated material", "a dry one")
-        require(x is not None, "x", "the x [m] of the gauges", "none")
-        require(times is not None, "times", "the times [s] at which the gauges are read", "none")
-        require((z is None) == (scene.dimension == 2), "z", "the z [m] of the gauges in 3D, none in 2D", z)
-        given = {"x": x, "y": y, "z": z}
+        require(given["x"] is not None, "x", "the x [m] of the gauges", "none")
+        require(settings.times is not None, "times", "the times [s] at which the gauges are read", "none")
+        flat = scene.dimension == 2
+        require((given["z"] is None) == flat, "z", "the z [m] of the gauges in 3D, none in 2D", given["z"])
         columns = {key: np.array(places, np.float64) for key, places in given.items() if places is not None}
         require(len({*map(len, columns.values())}) == 1, "x", "as many x, y and z as gauges", "others")
         for key, places in columns.items():
@@ -248,9 +228,9 @@ class PorePressure(SmoothObservation):
         expected = f"elevations above the ground, at {ground[deepest]:.4g} m for gauge {deepest}"
         require(above, "y", expected, f"{columns['y'][deepest]:.4g}")
         places = np.stack([columns[key] for key in "xyz" if key in columns], axis=1)
-        gauges, self.times = read_at(places, np.array(times), count)
+        gauges, self.times = read_at(places, np.array(settings.times), settings.count)
         self.gauges, self.which = np.unique(gauges, axis=0, return_inverse=True)
-        self.spacing = AROUND * scene.domain.cell if spacing is None else spacing
+        self.spacing = settings.spacing or AROUND * scene.domain.cell
         self.count = len(self.times)
 
     @property
@@ -299,7 +279,7 @@ class PorePressureSettings(LengthsSettings):
     spacing: Length | None = None
     """Half width over which a gauge takes the mean [m]; two cells where absent."""
 
-    operator_type, options = PorePressure, ("x", "y", "z", "times", "spacing", "count")
+    operator_type = PorePressure
     places: ClassVar = {"x": 0, "y": 1, "z": 2}
     columns: ClassVar = {"time": "times", "pressure": "values", "x": "x", "y": "y", "z": "z"}
     optional = ("x", "y", "z")

@@ -12,9 +12,9 @@ from datasets.errors import require
 from datasets.geometry.placement import corners
 from datasets.scene import Scene
 from datasets.scene.parts import Length
-from inverse.observations.gauges import SPACING, Gauges
+from inverse.observations.gauges import Gauges, GaugesSettings
 from inverse.observations.measured_profile import require_inside
-from inverse.observations.observation import Numbers, Rollout, SmoothObservation, Values, at_times, fitted_tail
+from inverse.observations.observation import Rollout, SmoothObservation, Values, at_times, fitted_tail
 from inverse.observations.settings import LengthsSettings, SeriesSettings
 
 LAYER = 0.5
@@ -37,20 +37,15 @@ class Arrival(SmoothObservation):
     unit, scatter = "s", 0.02
     over_time = True
 
-    def __init__(
-        self,
-        scene: Scene,
-        x: Numbers,
-        *,
-        z: float | None = None,
-        thickness: float | None = None,
-        spacing: float = SPACING,
-    ) -> None:
-        super().__init__(scene)
+    def __init__(self, scene: Scene, settings: "ArrivalSettings") -> None:
+        super().__init__(scene, settings)
+        x, z, self.thickness = settings.x, settings.z, settings.thickness
         require(x is not None, "x", "the x [m] that the flow reaches", "none")
-        require(z is None or thickness is not None, "thickness", "a thickness, above which the flow is at z", "none")
-        self.x, self.thickness = require_inside(np.array(x), scene.domain.size[0]), thickness
-        self.gauges = None if thickness is None else Gauges(scene, x, z=z, spacing=spacing)
+        tall = z is None or self.thickness is not None
+        require(tall, "thickness", "a thickness, above which the flow is at z", "none")
+        self.x = require_inside(np.array(x), scene.domain.size[0])
+        gauges = GaugesSettings(x=x, z=z, spacing=settings.spacing)
+        self.gauges = None if self.thickness is None else Gauges(scene, gauges)
         self.count, self.limits = len(self.x), (0.0, scene.duration)
 
     @property
@@ -95,10 +90,10 @@ class ArrivalSettings(LengthsSettings):
     """In 3D with a thickness: where across the flow [m]; where absent its mean counts."""
     thickness: Length | None = None
     """Height above which the flow is there [m]; where absent the front arrives."""
-    spacing: Length = SPACING
+    spacing: Length = 0.02
     """Half width over which this height is a mean [m]."""
 
-    operator_type, options = Arrival, ("x", "z", "thickness", "spacing")
+    operator_type = Arrival
     places: ClassVar = {"x": 0, "z": 2}
     columns: ClassVar = {"x": "x", "time": "values"}
 
@@ -119,17 +114,16 @@ class Speed(SmoothObservation):
     limits = (0.0, math.inf)
     over_time = True
 
-    def __init__(
-        self, scene: Scene, *, x: Numbers, z: Numbers = None, times: Numbers = None, window: float | None = None
-    ) -> None:
-        super().__init__(scene, times)
-        cell, self.window, area = scene.domain.cell, window or scene.frame_dt, 1.0
+    def __init__(self, scene: Scene, settings: "SpeedSettings") -> None:
+        super().__init__(scene, settings)
+        cell, self.window, area, z = scene.domain.cell, settings.window or scene.frame_dt, 1.0, settings.z
         lower, upper = corners(scene.masses)
         released = upper.max(axis=0) - lower.min(axis=0)
-        require(0.0 < self.window <= scene.duration, "window", f"a time in (0, {scene.duration:g}] s", window)
+        expected = f"a time in (0, {scene.duration:g}] s"
+        require(0.0 < self.window <= scene.duration, "window", expected, settings.window)
         require(z is None or scene.dimension == 3, "z", "none in 2D", z)
         self.sides: list[tuple[int, float, float]] = []
-        for axis, key, ends in ((0, "x", x), (2, "z", z)):
+        for axis, key, ends in ((0, "x", settings.x), (2, "z", z)):
             length = scene.domain.size[axis] if axis < scene.dimension else 1.0
             if ends is not None:
                 expected = f"two lengths between 0 and {length:g} m, a cell apart"
@@ -173,6 +167,6 @@ class SpeedSettings(SeriesSettings):
     window: float | None = None
     """Time over which a particle's speed is a mean [s]; a frame of the scene where absent."""
 
-    operator_type, options = Speed, ("x", "z", "times", "window")
+    operator_type = Speed
     places: ClassVar = {"x": 0, "z": 2}
     columns: ClassVar = {"time": "times", "speed": "values"}

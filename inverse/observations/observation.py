@@ -23,9 +23,6 @@ from mpm.output.recording import Recording
 Values = NDArray[np.float64]
 """An observation: M numbers in their unit, shape [M]."""
 
-Numbers = Sequence[float] | None
-"""As settings have them."""
-
 LONG = 1.0e4
 """Numbers from here on are written without decimals."""
 SCATTER_CELLS = 0.25
@@ -93,11 +90,11 @@ class Observation:
     dense: ClassVar[bool] = False
     """Whether it follows from positions all the same, of more particles than a surrogate has."""
 
-    def __init__(self, scene: Scene, times: Numbers = None) -> None:
-        """The operator for flows of `scene`. Raises InputError, which names the key of the settings."""
+    def __init__(self, scene: Scene, settings: Any = None) -> None:
+        """The operator for flows of `scene` by the settings of its kind. Raises InputError, which names their key."""
         self.scene = scene
         self.parts: tuple[JointPart, ...] = (JointPart(name=self.kind, observation=self, numbers=slice(None)),)
-        if times is None:
+        if (times := getattr(settings, "times", None)) is None:
             return
         self.times, self.count, self.over_time = np.array(times), len(times), True
         beyond = self.times[(self.times < 0.0) | (self.times > scene.duration * (1.0 + 1e-9))]

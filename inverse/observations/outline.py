@@ -8,6 +8,7 @@ plan`) is `thickness`. As that changes by dh, the boundary moves outwards by dh 
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from datasets.scene.grid_field import Floats
 from datasets.scene.particles import mass_centroids, mass_volumes
 from datasets.scene.parts import Length
 from inverse.observations.errors import Covariance, Noise
-from inverse.observations.observation import Numbers, Observation, SmoothObservation, Values, fitted_tail
+from inverse.observations.observation import Observation, SmoothObservation, Values, fitted_tail
 from inverse.observations.plan import plan_grid, plan_sides, volume_over
 from inverse.observations.settings import LengthsSettings
 from inverse.observations.target import Target
@@ -52,7 +53,7 @@ class Extents(SmoothObservation):
     kind = "outline"
     label = "the extent of the deposit in plan"
 
-    def __init__(self, scene: Scene, directions_deg: Numbers = None) -> None:
+    def __init__(self, scene: Scene, directions_deg: Sequence[float] | None) -> None:
         super().__init__(scene)
         plan_sides(scene)
         angles = np.deg2rad(DIRECTIONS_DEG if directions_deg is None else np.array(directions_deg))

@@ -95,14 +95,14 @@ class Thickness(SmoothObservation):
     of_positions, dense = False, True
 
     def __init__(
-        self, scene: Scene, grid: Grid, *, peak: bool, direction: str, cells: NDArray[np.int64] | None = None
+        self, scene: Scene, settings: "ThicknessSettings", grid: Grid, cells: NDArray[np.int64] | None = None
     ) -> None:
         """cells: those of `grid` that were measured; all where absent."""
-        super().__init__(scene)
-        self.grid, self.over_time = grid, peak
+        super().__init__(scene, settings)
+        self.grid, self.over_time = grid, settings.peak
         self.cells = np.arange(grid.count) if cells is None else cells
         self.count = len(self.cells)
-        self.factor = (factors(scene, grid, direction) / math.prod(grid.spacing))[self.cells]
+        self.factor = (factors(scene, grid, settings.direction) / math.prod(grid.spacing))[self.cells]
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         return volume_over(self.grid, positions, volumes)[torch.from_numpy(self.cells)] * torch.from_numpy(self.factor)
@@ -148,10 +148,7 @@ class ThicknessSettings(ObservationSettings):
         grid = plan_grid(scene, max(self.cell or 0.0, scene.domain.cell))
         if grid.count > MOST:
             grid = plan_grid(scene, math.sqrt(math.prod(plan_sides(scene)) / MOST))
-        return self.over(scene, grid)
-
-    def over(self, scene: Scene, grid: Grid, cells: NDArray[np.int64] | None = None) -> Thickness:
-        return Thickness(scene, grid, peak=self.peak, direction=self.direction, cells=cells)
+        return Thickness(scene, self, grid)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         plan_sides(scene)
@@ -213,7 +210,7 @@ class ThicknessSettings(ObservationSettings):
         # A deposit thinner than the noise would not have been seen on bare ground.
         deviation = Noise.stated(self.noise).of(np.where(shown > 0.0, shown, shown[shown > 0.0].mean()))
         errors = Covariance.correlated(deviation, grid.positions[cells], self.length)
-        return Target(observation=self.over(scene, grid, cells), values=shown, errors=errors)
+        return Target(observation=Thickness(scene, self, grid, cells), values=shown, errors=errors)
 
 
 def blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Grid, Values]:

@@ -26,7 +26,7 @@ from datasets.scene import Scene
 from datasets.scene.particles import particle_volumes
 from inverse.observations.errors import Covariance, Noise
 from inverse.observations.measured_profile import Heights, MeasuredProfile, checked_profile
-from inverse.observations.observation import Numbers, Observation, Values, at_times
+from inverse.observations.observation import Observation, Values, at_times
 from inverse.observations.settings import LengthsSettings
 from inverse.observations.target import Target
 
@@ -34,8 +34,7 @@ SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANT
 """Shares of a profile's area: the middles of twenty equal parts, and the front."""
 REPRESENTATION = 0.25
 """Standard deviation of a height at one x from the model's mean around it, in cells."""
-SPACING = 0.02
-"""Distance between the stations [m]."""
+Ends = tuple[float, float]
 DRAWS = 400
 """Of noise on the heights, by which the covariance of the observation is known to 7 %."""
 
@@ -53,20 +52,14 @@ class Profile(Observation):
     label = "the height profile"
 
     def __init__(
-        self,
-        scene: Scene,
-        spacing: float = SPACING,
-        *,
-        times: Numbers = None,
-        rows: Values | None = None,
-        ends: tuple[float, float] | None = None,
+        self, scene: Scene, settings: "ProfileSettings", rows: Values | None = None, ends: Ends | None = None
     ) -> None:
         """rows: where alone heights are known [m], ascending, [R]; they go on to the walls; else the model's.
 
         ends: between which two x [m] it lies, those of the walls where absent; what lies beyond does not count.
         """
-        super().__init__(scene, times)
-        length = scene.domain.size[0]
+        super().__init__(scene, settings)
+        length, spacing, times = scene.domain.size[0], settings.spacing, settings.times
         require(0.0 < spacing <= length / 2, "spacing", f"a length in (0, {length / 2:g}] m", spacing)
         require(times is None or len(times) == 1, "times", "one time for each profile", len(times or ()))
         low, high = self.ends = ends or (0.0, length)
@@ -161,7 +154,7 @@ class ProfileSettings(LengthsSettings):
 
     heights: Heights = Heights.EQUIVALENT
     """What the heights are."""
-    spacing: float = SPACING
+    spacing: float = 0.02
     """Distance between the stations [m]."""
     times: tuple[float, ...] | None = None
     """When [s] after the start, one time; where absent, in the end."""
@@ -171,10 +164,10 @@ class ProfileSettings(LengthsSettings):
     operator_type, blanks = Profile, True
     robust = False
 
-    def operator(self, scene: Scene, rows: Values | None = None, ends: tuple[float, float] | None = None) -> Profile:
+    def operator(self, scene: Scene, rows: Values | None = None, ends: Ends | None = None) -> Profile:
         """See `ObservationSettings.operator`; rows, ends: see `Profile`."""
         kind = Profile if self.heights is Heights.EQUIVALENT else SurfaceProfile
-        return kind(scene, self.spacing, times=self.times, rows=rows, ends=ends)
+        return kind(scene, self, rows, ends)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         path = folder / str(self.csv)

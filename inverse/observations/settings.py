@@ -35,8 +35,6 @@ class ObservationSettings(Record):
     robust: ClassVar[bool] = True
     """Whether its numbers have errors of their own, so that one may be an outlier."""
     operator_type: ClassVar[type[Observation]]
-    options: ClassVar[tuple[str, ...]] = ()
-    """Keys that the operator takes."""
     places: ClassVar[dict[str, int | None]] = {}
     """Keys that say where something is, and along which axis of the scene; None: a whole vector."""
 
@@ -63,7 +61,7 @@ class ObservationSettings(Record):
 
     def operator(self, scene: Scene) -> Observation:
         """The operator for flows of `scene`. Raises InputError, which names the key."""
-        return self.operator_type(scene, **{key: getattr(self, key) for key in self.options})
+        return self.operator_type(scene, self)
 
     @property
     def kind(self) -> str:

@@ -10,7 +10,7 @@ from datasets import Baffle, Mass, Solid
 from inverse import Problem, TargetSettings, read_problem
 from inverse.observations import ProfileSettings
 from inverse.observations.measured_profile import Heights
-from inverse.observations.profile import REPRESENTATION, Profile
+from inverse.observations.profile import REPRESENTATION
 from inverse.observations.target import Target
 from inverse.target import read_target
 from tests.inverse.observations.test_observations import never
@@ -104,7 +104,7 @@ def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None
     np.testing.assert_allclose(observation.heights(deposit), expected, atol=0.02)
     exact = observation.exact(deposit)
     np.testing.assert_allclose(exact, observation.of_heights(expected), atol=0.012)
-    equivalent = Profile(observation.scene, rows=rows)
+    equivalent = ProfileSettings().operator(observation.scene, rows)
     assert np.abs(equivalent.exact(deposit) - exact).max() > 0.02
 
 

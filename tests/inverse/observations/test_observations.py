@@ -15,16 +15,17 @@ from inverse.observations import (
     ArrivalSettings,
     FrontSettings,
     GaugesSettings,
+    ImpulseSettings,
     Observation,
     ObservationSettings,
+    OutlineSettings,
+    PeakForceSettings,
     ProfileSettings,
     Rollout,
     SpeedSettings,
 )
 from inverse.observations.errors import Covariance, Noise
-from inverse.observations.gauges import Gauges, Impulse, PeakForce
 from inverse.observations.observation import Joint
-from inverse.observations.outline import Extents
 from inverse.observations.target import joined
 from inverse.target import read_target
 from tests.refusals import refused
@@ -224,7 +225,7 @@ BAFFLED = scene_of(
     Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.4), baffles=(Baffle(lower=(0.8, 0.0), size=(0.1, 0.1)),)
 )
 
-IMPULSE = Impulse(BAFFLED)
+IMPULSE = ImpulseSettings().operator(BAFFLED)
 
 
 def rolled(run: Trajectory) -> Rollout:
@@ -255,7 +256,7 @@ def test_gauges_read_the_height_of_a_layer_up_to_the_walls() -> None:
     layer = rng.random((400, 2)) * [1.0, 0.08]
     layer[:, 0] = (np.arange(400) + 0.5) / 400
     run.positions[-1] = layer
-    gauges = Gauges(BAFFLED, (0.0, 0.5, 0.99), spacing=0.1)
+    gauges = GaugesSettings(x=(0.0, 0.5, 0.99), spacing=0.1).operator(BAFFLED)
     np.testing.assert_allclose(gauges.observe(run), 0.08, rtol=0.01)
     # A run of another release than the scene's has its own.
     half = dataclasses.replace(run, volume=np.float32(0.5 * run.volumes))
@@ -282,7 +283,7 @@ def test_a_noise_in_per_cent_without_its_sign_is_said() -> None:
 def test_the_impulse_is_that_of_the_solid() -> None:
     run = flow(BAFFLED, 101)
     np.testing.assert_allclose(IMPULSE.observe(run), [2.0])
-    twice = Impulse(BAFFLED, times=(0.5, 0.123))
+    twice = ImpulseSettings(times=(0.5, 0.123)).operator(BAFFLED)
     np.testing.assert_allclose(twice.observe(run)[0], 0.5)
     for force in (IMPULSE, twice):
         assert not force.of_positions
@@ -293,7 +294,7 @@ def test_the_impulse_is_that_of_the_solid() -> None:
 
 def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
     scene = scene_of(Mass(lower=(0.4, 0.0, 0.4), size=(0.2, 0.2, 0.2)), size=(1.0, 0.5, 1.0), cell=0.05)
-    outline = Extents(scene, (0.0, 90.0, 180.0, 270.0))
+    outline = OutlineSettings(directions_deg=(0.0, 90.0, 180.0, 270.0)).operator(scene)
     angle = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
     rim = np.stack([0.5 + 0.3 * np.cos(angle), np.zeros(4000), 0.5 + 0.2 * np.sin(angle)], axis=1)
     extents = outline.smooth(torch.from_numpy(rim), torch.ones(4000)).numpy()
@@ -366,17 +367,18 @@ def test_the_peak_force_is_the_largest_mean_over_its_window() -> None:
     """J = 2 t^2 kg m/s and, from 0.5 s on, less by 3 N: the last window before 0.5 s, or any after it, either way."""
     run = flow(BAFFLED, 101)
     for window in (0.1, 0.085):
-        peak = PeakForce(BAFFLED, window=window)
+        peak = PeakForceSettings(window=window).operator(BAFFLED)
         # Exact at frames; between them J is a chord of the parabola, within dt^2 / 4 of it.
         np.testing.assert_allclose(peak.observe(run), 2.0 * (2.0 - window), atol=1e-9 if window == 0.1 else 1e-3)
     after = run.solid_impulse - 9.0 * np.maximum(run.time - 0.5, 0.0)[:, None, None] * [1.0, 0.0]
     falling = dataclasses.replace(run, solid_impulse=after)
     steepest = 9.0 - 2.0 * (2.0 * 0.5 + 0.1)
-    np.testing.assert_allclose(PeakForce(BAFFLED, window=0.1).observe(falling), steepest, rtol=1e-9)
+    peak = PeakForceSettings(window=0.1).operator(BAFFLED)
+    np.testing.assert_allclose(peak.observe(falling), steepest, rtol=1e-9)
     rollout = dataclasses.replace(rolled(run), impulses=torch.from_numpy(run.solid_impulse))
-    np.testing.assert_allclose(PeakForce(BAFFLED, window=0.1).predict(rollout).numpy(), 3.8)
-    assert not PeakForce.of_positions
-    refused(PeakForce, BAFFLED, window=5.0, said="a time from")
+    np.testing.assert_allclose(peak.predict(rollout).numpy(), 3.8)
+    assert not peak.of_positions
+    refused(PeakForceSettings(window=5.0).operator, BAFFLED, said="a time from")
 
 
 def test_robust_noise_is_stated_in_a_table_and_drawn_with_its_tails(tmp_path: Path) -> None:
