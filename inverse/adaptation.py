@@ -43,20 +43,15 @@ from mpm.footprint import INVERSION
 from mpm.generate import generate, missing_entries
 
 COMMAND = "python -m inverse.adapt"
-DATA, PROBLEM = "data", "problem.json"
-"""In the folder of a run: its flows, and what problem they are of."""
-HELD_OUT = 5
-"""Of so many flows one is held out; odd, so that those lie all over the box."""
-FEWEST = 7
-"""Flows at least, of which two are held out."""
+DATA, PROBLEM = "data", "problem.json"  # in the folder of a run: its flows, and what problem they are of
+HELD_OUT = 5  # of so many flows one is held out; odd, so that those lie all over the box
+FEWEST = 7  # flows at least, of which two are held out
 TRAINING = TrainingSettings(
     correct=True, rollouts=3, learning_rate=1e-3, warmup=20, first=0.8, average=0.98, validations=1, validate_flows=24
 )
 """Of a correction, by the flows of one problem."""
-EXPECTED_SCATTER = 0.01
-"""Of fronts from jitter to jitter, over the extent, before any run has shown it."""
-KEPT = 8
-"""Particles that are stored of each cell of the model, of which a sample has one."""
+EXPECTED_SCATTER = 0.01  # of fronts from jitter to jitter, over the extent, before any run has shown it
+KEPT = 8  # particles that are stored of each cell of the model, of which a sample has one
 
 
 def adapt(

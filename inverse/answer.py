@@ -21,10 +21,8 @@ from inverse.search.waves import ModelRun
 
 MAX_NUMBERS = 100
 """Longest observation that is written out: a whole deposit has thousands of numbers, in every iteration."""
-IDENTIFIABLE = 0.3
-"""Half-width over the range, up to which a combination of parameters is identifiable."""
-UNIFORM = 0.475
-"""The same of a uniform prior."""
+IDENTIFIABLE = 0.3  # half-width over the range, up to which a combination of parameters is identifiable
+UNIFORM = 0.475  # the same of a uniform prior
 
 
 class Verdict(StrEnum):
@@ -32,11 +30,9 @@ class Verdict(StrEnum):
 
     CONFIRMED = "confirmed"
     """One answer, which the observation identifies; the MPM there lies within the predictive interval."""
-    AMBIGUOUS = "ambiguous"
-    """So does it at several separate answers, or over a whole range of them."""
+    AMBIGUOUS = "ambiguous"  # so does it at several separate answers, or over a whole range of them
     UNCONFIRMED = "unconfirmed"
-    UNREACHABLE = "unreachable"
-    """It does so for no parameters between the bounds."""
+    UNREACHABLE = "unreachable"  # it does so for no parameters between the bounds
 
     @property
     def confirms(self) -> bool:
@@ -47,14 +43,10 @@ class Verdict(StrEnum):
 class Purpose(StrEnum):
     """Why an MPM run was made."""
 
-    WAVE = "wave"
-    """Where it narrows the posterior most."""
-    CHECK = "check"
-    """At an answer."""
-    KNOWN = "known"
-    """Before, for another target."""
-    CELLS = "cells"
-    """At an answer on half the cells, in 3D on cells twice as large."""
+    WAVE = "wave"  # where it narrows the posterior most
+    CHECK = "check"  # at an answer
+    KNOWN = "known"  # before, for another target
+    CELLS = "cells"  # at an answer on half the cells, in 3D on cells twice as large
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,12 +54,10 @@ class MpmRun(ModelRun):
     """A run of the MPM, with a jitter seed of its own."""
 
     purpose: Purpose
-    parameters: Vector
-    """Shape [U]."""
+    parameters: Vector  # shape [U]
     trajectory: Trajectory
     seconds: float = 0.0
-    file: str = ""
-    """Beside `result.json`."""
+    file: str = ""  # beside `result.json`
 
     def as_json(self, problem: Problem, target: Target) -> dict[str, Any]:
         """As `result.json` has it."""
@@ -87,15 +77,11 @@ class MpmRun(ModelRun):
 class Answer:
     """Parameters that the observation allows, with the runs of the MPM there."""
 
-    parameters: Vector
-    """Shape [U]."""
-    interval: Values
-    """Quantiles of 2.5 and 97.5 % within the bounds, shape [2, U]."""
-    weight: float = 1.0
-    """Share of the posterior."""
+    parameters: Vector  # shape [U]
+    interval: Values  # quantiles of 2.5 and 97.5 % within the bounds, shape [2, U]
+    weight: float = 1.0  # share of the posterior
     checks: tuple[MpmRun, ...] = ()
-    fit: Fit | None = None
-    """Of the checks beside the target; None where the MPM was not asked."""
+    fit: Fit | None = None  # of the checks beside the target; None where the MPM was not asked
 
     @property
     def half_widths(self) -> Vector:
@@ -121,12 +107,9 @@ class Answer:
 class Combination:
     """A direction in the space of the parameters, and how well the observation constrains it."""
 
-    weights: dict[str, float]
-    """Of each parameter, in fractions of its range; together of length 1."""
-    half_width: float
-    """At 95 %, as a fraction of the range."""
-    prior: float = UNIFORM
-    """The same of a stated prior."""
+    weights: dict[str, float]  # of each parameter, in fractions of its range; together of length 1
+    half_width: float  # at 95 %, as a fraction of the range
+    prior: float = UNIFORM  # the same of a stated prior
 
     @property
     def identifiable(self) -> bool:

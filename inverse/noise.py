@@ -46,12 +46,9 @@ SMOOTH = 0.3
 Of eight fronts of a column over time (cells of 20, 10 and 5 mm) what finer cells change beyond the known shape has one
 change of sign, as a Gaussian process of this length has (docs/theory/uncertainty.md).
 """
-CONFIDENCE = 0.99
-"""Share of right answers that lie within the predictive interval."""
-RARE = 0.05
-"""A misfit that chance exceeds less often than this widens half-widths."""
-PRIOR_FREEDOM = 2.0
-"""Degrees of freedom with which the expected scatter counts beside that of repeated runs."""
+CONFIDENCE = 0.99  # share of right answers that lie within the predictive interval
+RARE = 0.05  # a misfit that chance exceeds less often than this widens half-widths
+PRIOR_FREEDOM = 2.0  # degrees of freedom with which the expected scatter counts beside that of repeated runs
 FLOOR = 1.0e-6
 """Part of the largest variance of a number that every number has: rounding, where one does not vary at all."""
 

@@ -42,20 +42,15 @@ OUTLINES: dict[str, tuple[Literal[":", "-", "--"], str, str]] = {
     "truth": ("--", "#222222", "baffle in truth"),
 }
 """Line, colour and meaning of the outline of a baffle."""
-HEIGHTS = "viridis"
-"""Colours of the heights in a picture from above."""
-CONTOURS = 12
-"""Of the ground, about."""
+HEIGHTS = "viridis"  # colours of the heights in a picture from above
+CONTOURS = 12  # of the ground, about
 LINE = "#b2182b"
-WIDTH = 10.0
-"""Of a picture [inches]."""
-RESOLUTION = 100
-"""Pixels per inch."""
+WIDTH = 10.0  # of a picture [inches]
+RESOLUTION = 100  # pixels per inch
 SMALL = ("axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize")
 STYLE: dict[str, Any] = dict.fromkeys(SMALL, 8)
 STYLE |= {"axes.titlesize": 9, "axes.titlelocation": "left", "legend.frameon": False}
-PAIRS = 5
-"""Parameters up to which every pair is drawn; of more, each by itself."""
+PAIRS = 5  # parameters up to which every pair is drawn; of more, each by itself
 BINS = 40
 ANSWER = "tab:red"
 

@@ -28,8 +28,7 @@ from inverse.parameters.prior import Correlation, JointPrior
 from inverse.settings import LoopSettings, OptimiserSettings, Surrogate, TargetSettings
 
 PROBLEMS = Path(__file__).parent / "problems"
-FEWEST_RUNS = 5
-"""MPM runs besides one for each unknown: a trend, its error, and one at the answer."""
+FEWEST_RUNS = 5  # MPM runs besides one for each unknown: a trend, its error, and one at the answer
 
 
 @dataclass(frozen=True, kw_only=True)

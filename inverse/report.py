@@ -18,12 +18,10 @@ from inverse.parameters import Parameter
 from inverse.residuals import outlying, residuals
 from inverse.result import Result
 
-NAMED = 4
-"""With more numbers than these the conclusion gives the range of their half-widths, tables leave them out."""
+NAMED = 4  # with more numbers than these the conclusion gives the range of their half-widths, tables leave them out
 MAIN = 0.3
 """Share of the greatest weight from which on one of the `NAMED` heaviest parameters is named in a combination."""
-SUGGESTED = 3
-"""Measurements, and combinations that are identifiable, that the conclusion names."""
+SUGGESTED = 3  # measurements, and combinations that are identifiable, that the conclusion names
 DECISIVE = 0.2
 """Information of a measurement [nat] from which on the conclusion names it: an emulator of few runs feigns less."""
 LARGER, FINEST = 1.5, 8.0

@@ -18,12 +18,9 @@ from inverse.observations.observation import JointPart
 from inverse.posterior.sampling import systematic
 from inverse.result import Result
 
-OUTLIER = 3.0
-"""Standardised residual beyond which a number is named."""
-LISTED, WORST = 40, 10
-"""Numbers of an observation that are all listed; of more the farthest off."""
-NORMAL = 1.96
-"""Half of a 95 % interval over the standard deviation."""
+OUTLIER = 3.0  # standardised residual beyond which a number is named
+LISTED, WORST = 40, 10  # numbers of an observation that are all listed; of more the farthest off
+NORMAL = 1.96  # half of a 95 % interval over the standard deviation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,15 +29,11 @@ class Residuals:
 
     part: JointPart
     observed: Values
-    noise: Values
-    """Stated standard deviation."""
+    noise: Values  # stated standard deviation
     median: Values
-    lower: Values
-    """Of 2.5 %."""
-    upper: Values
-    """Of 97.5 %."""
-    standardised: Values
-    """e [-]."""
+    lower: Values  # of 2.5 %
+    upper: Values  # of 97.5 %
+    standardised: Values  # e [-]
 
     @property
     def outliers(self) -> list[str]:

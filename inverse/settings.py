@@ -8,8 +8,7 @@ from datasets.errors import InputError, require
 from datasets.scene import Scene
 from datasets.schema import Bounds, Record
 
-MOST = 1_000_000
-"""Of runs, draws and iterations: more would take years, and memory that no machine has."""
+MOST = 1_000_000  # of runs, draws and iterations: more would take years, and memory that no machine has
 
 
 def counted(least: int, most: int = MOST) -> Bounds:

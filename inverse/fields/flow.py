@@ -22,13 +22,11 @@ from mpm import ALL, LAST, simulate_many
 from mpm.adjoint.gradient import pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, steady
 
-MEMORY_MIB = 512.0
-"""For the checkpoints of the runs that are reversed side by side [MiB]."""
+MEMORY_MIB = 512.0  # for the checkpoints of the runs that are reversed side by side [MiB]
 KEPT, STEP = 0.05, 0.5
 """Variance of a field along the directions of differences, over the largest, at least; and their step, root mean square
 over the runs, in standard deviations of the prior."""
-IDLE = 4
-"""Columns of the steps of differences that move nothing."""
+IDLE = 4  # columns of the steps of differences that move nothing
 
 
 class WhiteFlow:

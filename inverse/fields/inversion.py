@@ -50,10 +50,8 @@ from mpm import simulate
 from mpm.adjoint.tape import check
 from mpm.arrays.features import features_of
 
-FIRST_SEEDS, FIRST_CONVERGED = 2, 2.0
-"""Jitter seeds of the first search, and how far from its minimum it ends."""
-DRAWS = 100
-"""Samples of a field that are kept."""
+FIRST_SEEDS, FIRST_CONVERGED = 2, 2.0  # jitter seeds of the first search, and how far from its minimum it ends
+DRAWS = 100  # samples of a field that are kept
 LEFT = 2.0
 """Promised decrease of the objective beyond which the report says so: two standard deviations along one direction."""
 LED_RUNS, LED_CHECKS = 8, 3

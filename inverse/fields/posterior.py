@@ -12,8 +12,7 @@ from datasets.flow import measures
 from inverse.observations import Values
 from inverse.parameters.field import BAND, UnknownField
 
-IDENTIFIED = 0.5
-"""Share of the prior's variance beyond whose removal the observation identifies a value of a field."""
+IDENTIFIED = 0.5  # share of the prior's variance beyond whose removal the observation identifies a value of a field
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,14 +20,10 @@ class FieldPosterior:
     """A field at its K nodes, in its unit; statistics are over the nodes beside the body alone."""
 
     unknown: UnknownField
-    latent: Values
-    """u of `inverse.parameters.field`, the most probable one, shape [K]."""
-    width: Values
-    """Standard deviation of u that is left, shape [K]."""
-    draws: Values
-    """Samples of the field, shape [draws, K]."""
-    truth: Values | None
-    """Where known, shape [K]."""
+    latent: Values  # u of `inverse.parameters.field`, the most probable one, shape [K]
+    width: Values  # standard deviation of u that is left, shape [K]
+    draws: Values  # samples of the field, shape [draws, K]
+    truth: Values | None  # where known, shape [K]
 
     @property
     def name(self) -> str:

@@ -14,14 +14,11 @@ import scipy.linalg
 
 from datasets.scene.grid_field import Floats
 
-SHORTEST = 0.25
-"""Of the steps of the line search, over a whole one."""
-DECREASE = 0.1
-"""Of J, over that of the linear problem, with which a step is accepted."""
+SHORTEST = 0.25  # of the steps of the line search, over a whole one
+DECREASE = 0.1  # of J, over that of the linear problem, with which a step is accepted
 CONVERGED = 0.5
 """Decrease of J below which there is nothing left to gain: that of one standard deviation along one direction."""
-SMALL = 0.2
-"""Variance of a combination over draws of the prior, over that of its errors, below which it is left out."""
+SMALL = 0.2  # variance of a combination over draws of the prior, over that of its errors, below which it is left out
 
 
 @dataclass(frozen=True)

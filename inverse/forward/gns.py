@@ -37,29 +37,22 @@ from inverse.problem import Problem
 from mpm.footprint import SPEED
 from mpm.resolution import particle_steps
 
-MEMORY_GIB = 2.0
-"""Activations that the backward pass may find ready, instead of computing them again [GiB]."""
-NODES = 4_000
-"""Particles of a batch without gradients, at most: more of them are no cheaper each."""
-WAVES = 3
-"""K."""
-NORMAL = 1.96
-"""Half of a 95 % interval over the standard deviation."""
+MEMORY_GIB = 2.0  # activations that the backward pass may find ready, instead of computing them again [GiB]
+NODES = 4_000  # particles of a batch without gradients, at most: more of them are no cheaper each
+WAVES = 3  # K
+NORMAL = 1.96  # half of a 95 % interval over the standard deviation
 PREDICTIONS = 5.0
 """Predictions that a run of the MPM costs, from which on a surrogate is asked: it predicts two to five times for each
 run that it saves."""
-Flow = tuple[Tensor, InitialState]
-"""Positions [m] at the times of an initial state, shape [T, n, D], and this state."""
+Flow = tuple[Tensor, InitialState]  # positions [m] at the times of an initial state, shape [T, n, D], and this state
 
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
     """How far 95 of 100 deposits of the MPM are at most from those of a surrogate, over their extent [-]."""
 
-    front: float = 0.05
-    """b_f."""
-    profile: float = 0.03
-    """b_p."""
+    front: float = 0.05  # b_f
+    profile: float = 0.03  # b_p
 
     def moved(self, positions: Tensor) -> Iterator[Tensor]:
         """Positions [m], shape [T, n, D], moved by one displacement after the other."""

@@ -13,8 +13,7 @@ from inverse.parameters import Vector
 from inverse.problem import Problem
 from mpm import LAST
 
-PARTICLES = 400
-"""Of a whole deposit, at most: their covariance is a dense matrix."""
+PARTICLES = 400  # of a whole deposit, at most: their covariance is a dense matrix
 
 
 class MpmForward:

@@ -16,8 +16,7 @@ from datasets.scene.particles import particle_volumes
 from inverse.observations.observation import Observation, SmoothObservation, Values, fitted_tail
 from inverse.observations.settings import LengthsSettings, ObservationSettings, SeriesSettings
 
-SHARE_SCATTER = 0.005
-"""Standard deviation of a share from flow to flow [-], before an ensemble has measured it."""
+SHARE_SCATTER = 0.005  # standard deviation of a share from flow to flow [-], before an ensemble has measured it
 
 
 class Front(SmoothObservation):
@@ -68,8 +67,7 @@ class Runout(Observation):
 class RunoutSettings(ObservationSettings):
     """Of `Runout`."""
 
-    value: float | None = None
-    """[m]."""
+    value: float | None = None  # [m]
 
     operator_type = Runout
     places: ClassVar = {"value": 0}
@@ -116,8 +114,7 @@ class Toe(Observation):
 class ToeSettings(ObservationSettings):
     """Of `Toe`."""
 
-    values: tuple[float, ...] | None = None
-    """Its coordinates [m]."""
+    values: tuple[float, ...] | None = None  # its coordinates [m]
 
     operator_type = Toe
     places: ClassVar = {"values": None}
@@ -157,10 +154,8 @@ class Passed(Observation):
 class PassedSettings(ObservationSettings):
     """Of `Passed`."""
 
-    value: float | None = None
-    """A share [-]."""
-    line: float
-    """The x beyond which a particle has passed [m]."""
+    value: float | None = None  # a share [-]
+    line: float  # the x beyond which a particle has passed [m]
     width: float | None = None
     """Length over which the share is smoothed for gradients [m]; a cell of the scene where absent."""
 

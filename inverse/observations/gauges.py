@@ -76,18 +76,12 @@ class Gauges(SmoothObservation):
 class GaugesSettings(LengthsSettings):
     """Of `Gauges`; the table has x, height and maybe time."""
 
-    values: tuple[float, ...] | None = None
-    """A height [m] for each of `x`, or for each of these at each of `times`."""
-    x: tuple[float, ...] | None = None
-    """Of the gauges [m], where they are not in a table."""
-    z: float | None = None
-    """Of the gauges in 3D [m]; where absent they take the mean across the flow."""
-    times: tuple[float, ...] | None = None
-    """When [s] after the start; where absent, in the end."""
-    spacing: Length = 0.02
-    """Half width over which a gauge takes the mean height [m]."""
-    datum: float = 0.0
-    """Height of the floor in a table [`unit`]."""
+    values: tuple[float, ...] | None = None  # a height [m] for each of `x`, or for each of these at each of `times`
+    x: tuple[float, ...] | None = None  # of the gauges [m], where they are not in a table
+    z: float | None = None  # of the gauges in 3D [m]; where absent they take the mean across the flow
+    times: tuple[float, ...] | None = None  # when [s] after the start; where absent, in the end
+    spacing: Length = 0.02  # half width over which a gauge takes the mean height [m]
+    datum: float = 0.0  # height of the floor in a table [`unit`]
 
     operator_type = Gauges
     places: ClassVar = {"x": 0, "z": 2}
@@ -137,10 +131,8 @@ class Impulse(SmoothObservation):
 class ImpulseSettings(SeriesSettings):
     """Of `Impulse` [N s], in 2D per metre of width; the table has time and impulse."""
 
-    solid: int | str = 0
-    """Which solid, by its name or its number: the baffles, from 0, then the other solids."""
-    axis: int = 0
-    """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
+    solid: int | str = 0  # which solid, by its name or its number: the baffles, from 0, then the other solids
+    axis: int = 0  # along which axis of the scene: 0 for x, 1 for y, 2 for z
 
     operator_type = Impulse
     columns: ClassVar = {"time": "times", "impulse": "values"}
@@ -178,14 +170,11 @@ class PeakForce(Impulse):
 class PeakForceSettings(ObservationSettings):
     """Of `PeakForce`."""
 
-    value: float | None = None
-    """[N], in 2D per metre of width."""
+    value: float | None = None  # [N], in 2D per metre of width
     window: float
     """Time over which the force is averaged [s]: that of the sensor or its filter, at least a frame of the scene."""
-    solid: int | str = 0
-    """Which solid, by its name or its number: the baffles, from 0, then the other solids."""
-    axis: int = 0
-    """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
+    solid: int | str = 0  # which solid, by its name or its number: the baffles, from 0, then the other solids
+    axis: int = 0  # along which axis of the scene: 0 for x, 1 for y, 2 for z
 
     operator_type = PeakForce
 
@@ -266,18 +255,12 @@ class PorePressure(SmoothObservation):
 class PorePressureSettings(LengthsSettings):
     """Of `PorePressure`; the table has time and pressure, and of several gauges x, maybe y and z."""
 
-    values: tuple[float, ...] | None = None
-    """One [Pa] for each gauge at each of `times`, one gauge after the other."""
-    x: tuple[float, ...] | None = None
-    """Of the gauges [m]."""
-    y: tuple[float, ...] | None = None
-    """Their elevations [m]; where absent they stand on the ground."""
-    z: tuple[float, ...] | None = None
-    """In 3D [m]."""
-    times: tuple[float, ...] | None = None
-    """When [s] after the start."""
-    spacing: Length | None = None
-    """Half width over which a gauge takes the mean [m]; two cells where absent."""
+    values: tuple[float, ...] | None = None  # one [Pa] for each gauge at each of `times`, one gauge after the other
+    x: tuple[float, ...] | None = None  # of the gauges [m]
+    y: tuple[float, ...] | None = None  # their elevations [m]; where absent they stand on the ground
+    z: tuple[float, ...] | None = None  # in 3D [m]
+    times: tuple[float, ...] | None = None  # when [s] after the start
+    spacing: Length | None = None  # half width over which a gauge takes the mean [m]; two cells where absent
 
     operator_type = PorePressure
     places: ClassVar = {"x": 0, "y": 1, "z": 2}

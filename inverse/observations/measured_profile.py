@@ -26,26 +26,18 @@ from inverse.observations.errors import Noise
 class Heights(StrEnum):
     """What the heights of a measured profile are."""
 
-    EQUIVALENT = "equivalent"
-    """Of the released volume at its initial density, over the length and the width."""
-    SURFACE = "surface"
-    """Of the deposit's surface above the ground, which may be looser than what was released."""
+    EQUIVALENT = "equivalent"  # of the released volume at its initial density, over the length and the width
+    SURFACE = "surface"  # of the deposit's surface above the ground, which may be looser than what was released
     ELEVATION = "elevation"
     """Of the deposit's surface above the datum, over terrain: the ground beneath it is taken off (2D)."""
 
 
-EDGE = 0.01
-"""Height over the largest, below which a deposit has ended."""
-FURTHEST = 2.0
-"""Distances of the last two rows over which a profile is extrapolated."""
-ALONG = 4
-"""Rows whose slope is that of an extrapolation: of two it would be their noise."""
-BELOW = 0.05
-"""Height over the largest, by which noise may put a row beneath the floor; it counts as 0."""
-RARE = 0.05
-"""A roughness that the stated noise exceeds less often than this is not the stated noise alone."""
-MINIMUM_FREEDOM = 4
-"""Fewer rows than twice as many say nothing of a roughness: the shape of the profile is in it too."""
+EDGE = 0.01  # height over the largest, below which a deposit has ended
+FURTHEST = 2.0  # distances of the last two rows over which a profile is extrapolated
+ALONG = 4  # rows whose slope is that of an extrapolation: of two it would be their noise
+BELOW = 0.05  # height over the largest, by which noise may put a row beneath the floor; it counts as 0
+RARE = 0.05  # a roughness that the stated noise exceeds less often than this is not the stated noise alone
+MINIMUM_FREEDOM = 4  # fewer rows than twice as many say nothing of a roughness: the shape of the profile is in it too
 AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25), Heights.ELEVATION: (0.9, 1.25)}
 """Of a profile over the released one: sand of a porosity of 0.38 that comes to rest at 0.45 takes an eighth more."""
 
@@ -64,10 +56,8 @@ def require_inside(x: Floats, length: float) -> Floats:
 class MeasuredProfile:
     """Heights above the floor at ascending x, from the edge of the deposit, or a wall, to the other."""
 
-    x: Floats
-    """[m], shape [R]."""
-    height: Floats
-    """[m], shape [R]."""
+    x: Floats  # [m], shape [R]
+    height: Floats  # [m], shape [R]
     gaps: NDArray[np.bool_] | None = None
     """Between which rows and the next ones others are missing, shape [R - 1]; none where absent."""
     ends: tuple[float, float] | None = None

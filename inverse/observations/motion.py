@@ -82,16 +82,11 @@ def first_passage(series: Tensor, time: Values, level: float) -> Tensor:
 class ArrivalSettings(LengthsSettings):
     """Of `Arrival`; the table has x and time."""
 
-    values: tuple[float, ...] | None = None
-    """A time [s] for each of `x`, after the start."""
-    x: tuple[float, ...] | None = None
-    """What the flow reaches [m], where they are not in a table."""
-    z: float | None = None
-    """In 3D with a thickness: where across the flow [m]; where absent its mean counts."""
-    thickness: Length | None = None
-    """Height above which the flow is there [m]; where absent the front arrives."""
-    spacing: Length = 0.02
-    """Half width over which this height is a mean [m]."""
+    values: tuple[float, ...] | None = None  # a time [s] for each of `x`, after the start
+    x: tuple[float, ...] | None = None  # what the flow reaches [m], where they are not in a table
+    z: float | None = None  # in 3D with a thickness: where across the flow [m]; where absent its mean counts
+    thickness: Length | None = None  # height above which the flow is there [m]; where absent the front arrives
+    spacing: Length = 0.02  # half width over which this height is a mean [m]
 
     operator_type = Arrival
     places: ClassVar = {"x": 0, "z": 2}
@@ -160,12 +155,9 @@ class Speed(SmoothObservation):
 class SpeedSettings(SeriesSettings):
     """Of `Speed` [m/s], where no times are given the largest over time; the table has time and speed."""
 
-    x: tuple[float, ...]
-    """Between which two x [m]."""
-    z: tuple[float, ...] | None = None
-    """Between which two z in 3D [m]; over the whole width where absent."""
-    window: float | None = None
-    """Time over which a particle's speed is a mean [s]; a frame of the scene where absent."""
+    x: tuple[float, ...]  # between which two x [m]
+    z: tuple[float, ...] | None = None  # between which two z in 3D [m]; over the whole width where absent
+    window: float | None = None  # time over which a particle's speed is a mean [s]; a frame of the scene where absent
 
     operator_type = Speed
     places: ClassVar = {"x": 0, "z": 2}

@@ -20,15 +20,11 @@ from datasets.flow.trajectory import Trajectory, brackets
 from datasets.scene import Scene
 from mpm.output.recording import Recording
 
-Values = NDArray[np.float64]
-"""An observation: M numbers in their unit, shape [M]."""
+Values = NDArray[np.float64]  # an observation: M numbers in their unit, shape [M]
 
-LONG = 1.0e4
-"""Numbers from here on are written without decimals."""
-SCATTER_CELLS = 0.25
-"""Standard deviation of a length from flow to flow, before an ensemble has measured it, in cells."""
-SMALL = 0.1
-"""Of the largest number: smaller ones scatter as much as this where they scatter in proportion."""
+LONG = 1.0e4  # numbers from here on are written without decimals
+SCATTER_CELLS = 0.25  # standard deviation of a length from flow to flow, before an ensemble has measured it, in cells
+SMALL = 0.1  # of the largest number: smaller ones scatter as much as this where they scatter in proportion
 
 
 @dataclass(frozen=True, kw_only=True)

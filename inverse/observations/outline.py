@@ -32,16 +32,12 @@ from inverse.observations.plan import plan_grid, plan_sides, volume_over
 from inverse.observations.settings import LengthsSettings
 from inverse.observations.target import Target
 
-DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)
-"""Of extents, where values but no directions are named."""
-POINTS = (8, 64)
-"""Along the observed boundary, two cells apart or more: at least and at most."""
+DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)  # of extents, where values but no directions are named
+POINTS = (8, 64)  # along the observed boundary, two cells apart or more: at least and at most
 ISLAND = 0.05
 """Area over the largest part's, below which a part of the model's deposit is some particles that rolled on."""
-THICK = 0.2
-"""Of the least thickness released: a default of `thickness` beyond it, in large cells, is said."""
-TVERSKY = (0.3, 0.7)
-"""Weights of what the model alone covers, and of what it misses, which is worse."""
+THICK = 0.2  # of the least thickness released: a default of `thickness` beyond it, in large cells, is said
+TVERSKY = (0.3, 0.7)  # weights of what the model alone covers, and of what it misses, which is worse
 
 
 class Extents(SmoothObservation):
@@ -135,14 +131,10 @@ class Boundary(SmoothObservation):
 class OutlineSettings(LengthsSettings):
     """Of `Boundary`; of `Extents` where values or directions are named. The table has x and z of vertices in order."""
 
-    file: str | None = None
-    """Polygons (GeoJSON, shapefile, GeoPackage, KML), in the map coordinates of the scene."""
-    values: tuple[float, ...] | None = None
-    """Extent [m] in each of `directions_deg`."""
-    directions_deg: tuple[float, ...] | None = None
-    """From +x towards +z; every 22.5 degrees where absent."""
-    thickness: Length | None = None
-    """Above which a place is covered [m]; where absent as in `datasets.maps`."""
+    file: str | None = None  # polygons (GeoJSON, shapefile, GeoPackage, KML), in the map coordinates of the scene
+    values: tuple[float, ...] | None = None  # extent [m] in each of `directions_deg`
+    directions_deg: tuple[float, ...] | None = None  # from +x towards +z; every 22.5 degrees where absent
+    thickness: Length | None = None  # above which a place is covered [m]; where absent as in `datasets.maps`
     length: Length | None = None
     """Correlation length of the errors along the boundary [m]: exp(-distance / length); independent where absent."""
 

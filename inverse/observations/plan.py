@@ -34,16 +34,12 @@ from inverse.observations.observation import SCATTER_CELLS, Rollout, SmoothObser
 from inverse.observations.settings import ObservationSettings
 from inverse.observations.target import Target
 
-MOST = 1500
-"""Cells of an observation: their covariance is a dense matrix. Finer rasters are taken in blocks."""
+MOST = 1500  # cells of an observation: their covariance is a dense matrix. Finer rasters are taken in blocks
 AROUND = 0.25
 """Distance from the deposit, over the root of its area, up to which bare cells count: more would hide a misfit."""
-TOO_MUCH = 2.0
-"""Volume of a deposit over the released one that another unit makes, or another scene."""
-OPEN = 0.5
-"""Share of the cells around a deposit without data that is said: a model that goes beyond would not be seen."""
-SUNKEN = 0.1
-"""Depth of a survey beneath the terrain, in cells, that is said."""
+TOO_MUCH = 2.0  # volume of a deposit over the released one that another unit makes, or another scene
+OPEN = 0.5  # share of the cells around a deposit without data that is said: a model that goes beyond would not be seen
+SUNKEN = 0.1  # depth of a survey beneath the terrain, in cells, that is said
 
 
 def plan_sides(scene: Scene) -> tuple[float, ...]:
@@ -127,12 +123,9 @@ class ThicknessSettings(ObservationSettings):
     file: str | None = None
     """A raster of thicknesses [m], or points of a survey of the surface (`datasets.exchange.points`), in the map
     coordinates of the scene."""
-    cell: Length | None = None
-    """Of a survey, a twin or a trajectory: edge of the cells [m]; the scene's where absent."""
-    peak: bool = False
-    """Whether they are the largest over time, not those of the deposit."""
-    direction: Literal["normal", "vertical"] = "normal"
-    """How they are measured: normal to the ground or along gravity."""
+    cell: Length | None = None  # of a survey, a twin or a trajectory: edge of the cells [m]; the scene's where absent
+    peak: bool = False  # whether they are the largest over time, not those of the deposit
+    direction: Literal["normal", "vertical"] = "normal"  # how they are measured: normal to the ground or along gravity
     length: Length | None = None
     """Correlation length of their errors in plan [m]: exp(-distance / length); independent where absent."""
 

@@ -32,11 +32,9 @@ from inverse.observations.target import Target
 
 SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)
 """Shares of a profile's area: the middles of twenty equal parts, and the front."""
-REPRESENTATION = 0.25
-"""Standard deviation of a height at one x from the model's mean around it, in cells."""
+REPRESENTATION = 0.25  # standard deviation of a height at one x from the model's mean around it, in cells
 Ends = tuple[float, float]
-DRAWS = 400
-"""Of noise on the heights, by which the covariance of the observation is known to 7 %."""
+DRAWS = 400  # of noise on the heights, by which the covariance of the observation is known to 7 %
 
 
 class Profile(Observation):
@@ -152,14 +150,10 @@ class SurfaceProfile(Profile):
 class ProfileSettings(LengthsSettings):
     """Of `Profile`; the table has x and height."""
 
-    heights: Heights = Heights.EQUIVALENT
-    """What the heights are."""
-    spacing: float = 0.02
-    """Distance between the stations [m]."""
-    times: tuple[float, ...] | None = None
-    """When [s] after the start, one time; where absent, in the end."""
-    datum: float = 0.0
-    """Height of the floor in a table [`unit`]."""
+    heights: Heights = Heights.EQUIVALENT  # what the heights are
+    spacing: float = 0.02  # distance between the stations [m]
+    times: tuple[float, ...] | None = None  # when [s] after the start, one time; where absent, in the end
+    datum: float = 0.0  # height of the floor in a table [`unit`]
 
     operator_type, blanks = Profile, True
     robust = False

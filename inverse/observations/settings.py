@@ -19,21 +19,18 @@ from inverse.observations.observation import Observation, Values
 from inverse.observations.target import Target
 
 FILES = ("csv", "file")
-SOURCES = ("value", "values", *FILES)
-"""Keys under which measured numbers stand: of those that name a file, and all."""
+SOURCES = ("value", "values", *FILES)  # keys under which measured numbers stand: of those that name a file, and all
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationSettings(Record):
     """What is measured and how well; of a kind also where and when, and what came out. Raises InputError."""
 
-    name: str | None = None
-    """As it is called in reports; its kind where absent."""
+    name: str | None = None  # as it is called in reports; its kind where absent
     noise: StatedNoise = 0.0
     """Standard deviation of each number, of a profile of each height: in their unit, or a percentage such as "3%"."""
 
-    robust: ClassVar[bool] = True
-    """Whether its numbers have errors of their own, so that one may be an outlier."""
+    robust: ClassVar[bool] = True  # whether its numbers have errors of their own, so that one may be an outlier
     operator_type: ClassVar[type[Observation]]
     places: ClassVar[dict[str, int | None]] = {}
     """Keys that say where something is, and along which axis of the scene; None: a whole vector."""
@@ -122,15 +119,11 @@ class ObservationSettings(Record):
 class TabulatedSettings(ObservationSettings):
     """Of an observation whose numbers may stand in a table."""
 
-    csv: str | None = None
-    """A table with the `columns` of the kind and maybe others."""
+    csv: str | None = None  # a table with the `columns` of the kind and maybe others
 
-    blanks: ClassVar[bool] = False
-    """Whether rows of it may be empty."""
-    columns: ClassVar[dict[str, str]] = {}
-    """Its columns, and the key that each stands for."""
-    optional: ClassVar[tuple[str, ...]] = ()
-    """Those that may be absent."""
+    blanks: ClassVar[bool] = False  # whether rows of it may be empty
+    columns: ClassVar[dict[str, str]] = {}  # its columns, and the key that each stands for
+    optional: ClassVar[tuple[str, ...]] = ()  # those that may be absent
 
     @property
     def count(self) -> int:
@@ -168,20 +161,16 @@ class TabulatedSettings(ObservationSettings):
 class SeriesSettings(TabulatedSettings):
     """Of an observation that is one number, of the end unless the kind says otherwise, or one at each of some times."""
 
-    value: float | None = None
-    """In the unit of the kind."""
-    values: tuple[float, ...] | None = None
-    """One for each of `times`."""
-    times: tuple[float, ...] | None = None
-    """When [s] after the start."""
+    value: float | None = None  # in the unit of the kind
+    values: tuple[float, ...] | None = None  # one for each of `times`
+    times: tuple[float, ...] | None = None  # when [s] after the start
 
 
 @dataclass(frozen=True, kw_only=True)
 class LengthsSettings(TabulatedSettings):
     """Of an observation whose table has lengths."""
 
-    unit: Literal["m", "cm", "mm", "ft"] = "m"
-    """Of the lengths in a table."""
+    unit: Literal["m", "cm", "mm", "ft"] = "m"  # of the lengths in a table
 
     @property
     def metres(self) -> float:

@@ -14,8 +14,7 @@ from inverse.observations.errors import Covariance
 from inverse.observations.measured_profile import MeasuredProfile
 from inverse.observations.observation import Joint, JointPart, Observation, Values
 
-ALL_DATA = "none"
-"""What is left out where nothing is."""
+ALL_DATA = "none"  # what is left out where nothing is
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,8 +27,7 @@ from inverse.parameters.prior import Marginal, Prior
 __all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
 
 LENGTHS = Bounds("positive lengths in m, up to 1e+09", gt=0.0)
-FILLING = 32
-"""Points by which the box of the bounds is filled, and corners of it, that are tried."""
+FILLING = 32  # points by which the box of the bounds is filled, and corners of it, that are tried
 
 
 def kind(name: str) -> Kind:

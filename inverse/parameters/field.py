@@ -49,16 +49,11 @@ if TYPE_CHECKING:
 
 NODES_PER_LENGTH = 2.0
 """Correlation length over the spacing of the nodes, at least: with fewer the covariance is not the stated one."""
-BAND = 1.959963984540054
-"""Half-width of a band of 95 %, in standard deviations of a normal distribution."""
-MOST = 0.9
-"""Width of the prior's band over the distance of the bounds, at most."""
-WIDEST = 100.0
-"""Deviation of u with which every band is as wide as its bounds."""
-BYTES = 24
-"""Of each node and right-hand neighbour: it, its solution and their squares."""
-BED = "friction"
-"""What varies over a terrain: the last part of `solids[0].friction`."""
+BAND = 1.959963984540054  # half-width of a band of 95 %, in standard deviations of a normal distribution
+MOST = 0.9  # width of the prior's band over the distance of the bounds, at most
+WIDEST = 100.0  # deviation of u with which every band is as wide as its bounds
+BYTES = 24  # of each node and right-hand neighbour: it, its solution and their squares
+BED = "friction"  # what varies over a terrain: the last part of `solids[0].friction`
 UNITS = {FRICTION: "deg", THICKNESS: "m", BED: ""} | dict.fromkeys(VELOCITIES, "m/s")
 LABELS = {FRICTION: "friction", THICKNESS: "thickness", BED: "friction of the bed"}
 LABELS |= {name: f"velocity along {name[-1]}" for name in VELOCITIES}

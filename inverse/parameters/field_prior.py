@@ -12,8 +12,7 @@ from scipy.sparse.linalg import splu
 
 from datasets.scene.grid_field import Floats, Grid
 
-COLUMNS = 256
-"""Right-hand neighbours that are solved for at a time."""
+COLUMNS = 256  # right-hand neighbours that are solved for at a time
 
 
 class ZonePrior:

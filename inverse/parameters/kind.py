@@ -42,29 +42,20 @@ OWNERS |= dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
 class Kind:
     """A number of a scene or of one of its masses, baffles and solids: how its value enters both forward models."""
 
-    form: str
-    """Its name, with `[]` in place of an index."""
-    unit: str
-    """As it is printed."""
-    digits: int
-    """Decimals with which it is printed."""
-    index: int | None = None
-    """Of the mass, baffle or solid; None of the scene as a whole."""
-    attribute: str = ""
-    """What holds it; the last part of its name where absent."""
-    axis: int | None = None
-    """Of an attribute that is a vector: which of its components."""
+    form: str  # its name, with `[]` in place of an index
+    unit: str  # as it is printed
+    digits: int  # decimals with which it is printed
+    index: int | None = None  # of the mass, baffle or solid; None of the scene as a whole
+    attribute: str = ""  # what holds it; the last part of its name where absent
+    axis: int | None = None  # of an attribute that is a vector: which of its components
     positive: bool = True
     """Whether it is a quantity with a zero of its own and no sign, so that an error can be compared with the value."""
-    changes_volume: bool = False
-    """Whether more or less material is released with it."""
+    changes_volume: bool = False  # whether more or less material is released with it
     order: int = 2
     """Parameters are set in ascending order: shared constants (0), then those of a mass, which take precedence (2), and
     each time residual strengths last (1, 3), because the cohesion of their material scales them."""
-    requires: str = ""
-    """Of a constant of a material: another, without which it has no effect."""
-    input: Input | None = None
-    """How it enters the surrogate; None of what is no input of it."""
+    requires: str = ""  # of a constant of a material: another, without which it has no effect
+    input: Input | None = None  # how it enters the surrogate; None of what is no input of it
 
     @property
     def group(self) -> str:

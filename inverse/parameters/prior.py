@@ -25,14 +25,10 @@ from inverse.posterior import Matrix
 
 KINDS = {"uniform": (), "normal": ("mean", "deviation"), "lognormal": ("mean", "deviation"), "triangular": ("mode",)}
 """Kinds of priors, and the keys that each has."""
-LEAST_MASS = 1e-6
-"""Probability between the bounds, at least: below it the stated prior contradicts them."""
-LOWEST = -1e6
-"""Logarithm of a density of 0."""
-LEAST_SHARE = 1e-15
-"""Distance of a share from 0 and 1, at least: normal scores up to 8."""
-CREDIBLE = 0.95
-"""Of the interval that says how wide a prior is."""
+LEAST_MASS = 1e-6  # probability between the bounds, at least: below it the stated prior contradicts them
+LOWEST = -1e6  # logarithm of a density of 0
+LEAST_SHARE = 1e-15  # distance of a share from 0 and 1, at least: normal scores up to 8
+CREDIBLE = 0.95  # of the interval that says how wide a prior is
 
 
 @dataclass(frozen=True, kw_only=True)

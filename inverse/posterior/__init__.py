@@ -6,7 +6,5 @@ Vectors of parameters are here in fractions of their ranges between the prior bo
 import numpy as np
 from numpy.typing import NDArray
 
-Matrix = NDArray[np.float64]
-"""A row for each vector of parameters, run or sample."""
-Row = NDArray[np.float64]
-"""A number for each of them."""
+Matrix = NDArray[np.float64]  # a row for each vector of parameters, run or sample
+Row = NDArray[np.float64]  # a number for each of them

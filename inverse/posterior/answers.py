@@ -16,10 +16,8 @@ from inverse.posterior import Matrix, Row
 from inverse.posterior.sampling import Samples, systematic
 from inverse.posterior.settings import CONSTANTS
 
-AT_MOST = 800
-"""Samples of the region that are joined."""
-ALONG = (0.25, 0.5, 0.75)
-"""Where along a segment the density is asked for."""
+AT_MOST = 800  # samples of the region that are joined
+ALONG = (0.25, 0.5, 0.75)  # where along a segment the density is asked for
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,18 +36,13 @@ from scipy.special import logsumexp, polygamma
 from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 
-Trend = Callable[[Matrix], Matrix]
-"""Points [S, U] -> the trend's functions there [S, p]."""
-NUGGETS = np.array((1e-6, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1e4))
-"""g: a grid of quadrature."""
-NEGLIGIBLE = 1e-3
-"""Weight of a nugget that is left out."""
-SHORTEST, LONGEST = 0.03, 20.0
-"""Correlation lengths between which the likeliest is looked for, in ranges."""
+Trend = Callable[[Matrix], Matrix]  # points [S, U] -> the trend's functions there [S, p]
+NUGGETS = np.array((1e-6, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1e4))  # g: a grid of quadrature
+NEGLIGIBLE = 1e-3  # weight of a nugget that is left out
+SHORTEST, LONGEST = 0.03, 20.0  # correlation lengths between which the likeliest is looked for, in ranges
 LENGTH_STEPS = (0.8, 0.4, 0.2, 0.1)
 """Steps of the search for their logarithms: the smallest is a tenth, well below what runs tell of a length."""
-SAME = 1e-6
-"""Difference of two logarithms of a likelihood that is none."""
+SAME = 1e-6  # difference of two logarithms of a likelihood that is none
 
 
 def fewest_runs(unknowns: int) -> int:

@@ -19,12 +19,9 @@ from inverse.posterior import Matrix
 from inverse.posterior.emulator import fitted
 from inverse.posterior.sampling import Samples, systematic
 
-STATIONS = 9
-"""Places along x at which a height could be measured."""
-ACROSS = 4
-"""Places along z, in 3D."""
-READING = 0.25
-"""Error of reading a length, in cells."""
+STATIONS = 9  # places along x at which a height could be measured
+ACROSS = 4  # places along z, in 3D
+READING = 0.25  # error of reading a length, in cells
 
 
 def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> dict[str, float]:

@@ -40,10 +40,8 @@ from inverse.posterior.reduction import Reduction, reduction
 from inverse.posterior.sampling import Samples, sample, systematic
 from inverse.posterior.settings import CONSTANTS
 
-OUTERMOST = 0.1
-"""Share of a region's extent, within which a sample lies at its edge."""
-SMALLEST = 1e-4
-"""Extent of a region at least, as a fraction of the range."""
+OUTERMOST = 0.1  # share of a region's extent, within which a sample lies at its edge
+SMALLEST = 1e-4  # extent of a region at least, as a fraction of the range
 
 
 @dataclass(frozen=True, kw_only=True)

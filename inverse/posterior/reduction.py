@@ -16,10 +16,8 @@ from inverse.observations.target import Target
 from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 
-NEGLIGIBLE = 1e-8
-"""Effect of a parameter on any number, over scatter and noise, that is rounding."""
-SMALL = 0.1
-"""Root mean square of a direction besides the parameters' own, over scatter and noise, that is left out."""
+NEGLIGIBLE = 1e-8  # effect of a parameter on any number, over scatter and noise, that is rounding
+SMALL = 0.1  # root mean square of a direction besides the parameters' own, over scatter and noise, that is left out
 
 
 @dataclass(frozen=True, kw_only=True)

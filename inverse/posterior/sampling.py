@@ -18,10 +18,8 @@ from scipy.stats import qmc
 from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 
-LogLikelihood = Callable[[Matrix], Row]
-"""Points [S, U] -> the logarithm of the likelihood [S]."""
-JUMP = 0.1
-"""Share of the moves that are as long as the difference itself: from one maximum to another."""
+LogLikelihood = Callable[[Matrix], Row]  # points [S, U] -> the logarithm of the likelihood [S]
+JUMP = 0.1  # share of the moves that are as long as the difference itself: from one maximum to another
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -45,20 +45,14 @@ from inverse.problem import Problem
 from inverse.search.inference import EXCLUDED, Inference, Inversion
 from inverse.search.waves import ModelRun, filling, runs_of
 
-FIRST, PER_UNKNOWN = 6, 4
-"""Predictions that fill the box, the problem's start among them."""
-STARTS = 6
-"""At most."""
-STEPS = 6
-"""From each start, at most."""
-RADIUS = 0.1
-"""First radius of the trust region, in ranges of the box."""
-NEGLIGIBLE = 0.02
-"""Decrease of L that no further step is made for: a seventh of a standard deviation of one number."""
+FIRST, PER_UNKNOWN = 6, 4  # predictions that fill the box, the problem's start among them
+STARTS = 6  # at most
+STEPS = 6  # from each start, at most
+RADIUS = 0.1  # first radius of the trust region, in ranges of the box
+NEGLIGIBLE = 0.02  # decrease of L that no further step is made for: a seventh of a standard deviation of one number
 ROUNDS, KNOWN = 3, 0.3
 """Searches for minima at most; further predictions between them while the emulator's share of the variance is more."""
-ROUGH = 0.05
-"""Expected roughness of a surrogate's own numbers, over their standard deviations by C."""
+ROUGH = 0.05  # expected roughness of a surrogate's own numbers, over their standard deviations by C
 
 
 def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values, *, rough: float = ROUGH) -> Inversion:

@@ -25,14 +25,10 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Box, Problem
 from inverse.search.waves import ModelRun, WaveSearch, filling
 
-EXCLUDED = 1e-3
-"""Probability of parameters beyond the region of a surrogate, were its band right."""
-REWEIGHTED = 0.05
-"""Change of the deviation of an error, over it, that changes no interval."""
-UPDATES = 12
-"""Of the errors of outliers, at most."""
-STEEP = 4.0
-"""By how much the logarithm of the probability falls beyond the region, for each that the likelihood falls."""
+EXCLUDED = 1e-3  # probability of parameters beyond the region of a surrogate, were its band right
+REWEIGHTED = 0.05  # change of the deviation of an error, over it, that changes no interval
+UPDATES = 12  # of the errors of outliers, at most
+STEEP = 4.0  # by how much the logarithm of the probability falls beyond the region, for each that the likelihood falls
 R = TypeVar("R", bound=ModelRun)
 
 
