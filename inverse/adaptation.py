@@ -141,12 +141,10 @@ def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: in
 
 
 def scored(simulator: Simulator, flows: Sequence[Flow], name: str) -> list[Score]:
-    """The scores of a model on held-out flows."""
     return [evaluate(simulator, [flow])[0] for flow in tqdm(flows, desc=f"{name}: held out", unit="flow", leave=False)]
 
 
 def change(before: Sequence[Score], after: Sequence[Score]) -> str:
-    """Mean errors before and after, in words."""
     old, new = measures.amounts(before), measures.amounts(after)
     names = ("front", "profile", "height", "thickness")
     return ", ".join(f"{name} {100.0 * old[name]:.1f} -> {100.0 * new[name]:.1f} %" for name in names)

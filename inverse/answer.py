@@ -36,7 +36,6 @@ class Verdict(StrEnum):
 
     @property
     def confirms(self) -> bool:
-        """Whether the MPM confirms an answer, the only one or not."""
         return self in (Verdict.CONFIRMED, Verdict.AMBIGUOUS)
 
 
@@ -60,7 +59,6 @@ class MpmRun(ModelRun):
     file: str = ""  # beside `result.json`
 
     def as_json(self, problem: Problem, target: Target) -> dict[str, Any]:
-        """As `result.json` has it."""
         return {
             "purpose": self.purpose.value,
             "unknowns": problem.named(self.parameters),
@@ -99,7 +97,6 @@ class Answer:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the MPM there lies within the predictive interval."""
         return self.fit is not None and self.fit.inside
 
 

@@ -17,7 +17,6 @@ from datasets.files import replacing
 from inverse.answer import MAX_NUMBERS
 from inverse.posterior import Matrix
 from inverse.posterior.posterior import Posterior
-from inverse.posterior.sampling import systematic
 from inverse.posterior.settings import CONSTANTS
 from inverse.result import Result
 
@@ -29,7 +28,7 @@ def write(result: Result, path: Path) -> None:
     posterior, problem, observation = result.posterior, result.problem, result.target.observation
     assert posterior is not None, "an optimiser has no samples"
     rng = np.random.default_rng(problem.optimiser.seed)
-    points = posterior.samples.points[systematic(posterior.samples.weights, len(posterior.samples.points), rng)]
+    points = posterior.samples.drawn(len(posterior.samples.points), rng)
     shares = rng.random(points.shape)
     prior = shares if problem.prior is None else problem.prior.at(shares)
     # In memory, and written by Python: where the disk is full HDF5 ends the process.

@@ -58,7 +58,6 @@ def invert(
 def forward_model(
     problem: Problem, target: Target, forward: ForwardModel | None, model: Path | None
 ) -> GnsForward | MpmForward:
-    """What predicts the observation. Raises InputError."""
     if forward is ForwardModel.ADJOINT:
         # Imported here: other inversions have no use for its kernels.
         from inverse.forward.adjoint import AdjointForward
@@ -78,14 +77,11 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
     began, box, by_mpm = time.perf_counter(), problem.box, isinstance(forward, MpmForward)
     scatter = target.observation.prior_scatter(target.values)
     inference = inverted(forward, problem, target, scatter, rough=1.0 if by_mpm else ROUGH)
-    answers = tuple(
-        Answer(parameters=box.at(region.point), interval=box.at(region.interval), weight=region.weight)
-        for region in inference.regions
-    )
+    places = [(box.at(region.point), box.at(region.interval), region.weight) for region in inference.regions]
+    answers = tuple(Answer(parameters=point, interval=ends, weight=weight) for point, ends, weight in places)
     misfits = [target.observation.misfit(run.numbers, inference.target.values) for run in inference.runs]
-    first = answers[0].parameters
-    (predicted,) = forward.observe([first])
-    deposit = forward.deposit(first)
+    (predicted,) = forward.observe([answers[0].parameters])
+    deposit = forward.deposit(answers[0].parameters)
     total = time.perf_counter() - began
     flows = len(misfits) + 2 + int(problem.target.twin)
     loss = {"mpm" if by_mpm else "surrogate": target.observation.misfit(predicted, inference.target.values)}

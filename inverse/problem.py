@@ -122,7 +122,6 @@ class Problem(ProblemKeys):
 
     @property
     def numbers(self) -> list[Parameter]:
-        """The parameters that are numbers."""
         return [parameter for parameter in self.parameters if not parameter.is_field]
 
     @cached_property
@@ -262,7 +261,6 @@ class Problem(ProblemKeys):
             require(other, "target.cell", "an observation other than of every particle", kind)
 
     def _check_target(self) -> None:
-        """Raise InputError for a twin that cannot be made."""
         with keyed("target"):
             self.target.check(self.scene)
         numbers, truth = {number.name: number for number in self.numbers}, self.target.truth

@@ -84,7 +84,6 @@ def first_found(result: Result) -> str:
 
 
 def verdict(result: Result) -> str:
-    """The verdict, with the distance from the target and the predictive interval."""
     first, runs = result.answers[0], len(result.answers[0].checks)
     if runs == 0:
         return "**Unconfirmed**: no run of the MPM checks this answer; `python -m validation.loop` makes such runs."
@@ -103,7 +102,6 @@ def verdict(result: Result) -> str:
 
 
 def distance(result: Result, answer: Answer) -> str:
-    """Distance of the MPM at an answer from the target, beside the predictive interval."""
     fit, text = answer.fit, result.target.observation.root_text
     assert fit is not None, "the MPM was asked"
     sources = {"noise": fit.noise, "scatter of flows": fit.scatter, "cells": fit.cells}
@@ -117,14 +115,13 @@ def distance(result: Result, answer: Answer) -> str:
 
 
 def numbers(result: Result) -> str:
-    """The numbers with their half-widths, of every answer."""
     every = result.problem.numbers
     if not every:
         return ""
     widths = result.answers[0].half_widths
     if len(every) > NAMED:
         order = np.argsort(widths / result.problem.box.range)
-        low, high = (f"{every[at].kind.text(widths[at])} (`{every[at].name}`)" for at in (order[0], order[-1]))
+        low, high = (f"{every[at].kind.text(widths[at])} (`{every[at].name}`)" for at in order[[0, -1]])
         return f"{len(every)} parameters, with 95 % half-widths from {low} to {high}."
     texts = []
     for answer in result.answers:
@@ -193,15 +190,14 @@ def quality(result: Result) -> str:
         wider = f"noise and scatter count {times}" if fit.spared else f"the intervals are {times} as wide"
         parts.append(f"the fit is {times} worse than noise, scatter and cells explain, so {wider}")
     if fit is not None and fit.outliers:
-        counts = [(part.name, len(result.target.values[part.numbers])) for part in result.target.observation.parts]
-        names = [f"{name} {n + 1}" for name, count in counts for n in range(count)]
+        values, by_name = result.target.values, result.target.observation.parts
+        names = [f"{part.name} {n + 1}" for part in by_name for n in range(len(values[part.numbers]))]
         listed = ", ".join(f"{names[index]} ({off:+.1f})" for index, off in fit.outliers.items())
         parts.append(f"outliers, in standard deviations from what all other numbers predict: {listed}")
     return sentence(parts)
 
 
 def sentence(parts: Sequence[str]) -> str:
-    """Parts as a sentence; empty without any."""
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}." if text else ""
 
@@ -226,9 +222,7 @@ def question(result: Result) -> str:
         row = {"unknown": f"`{number.name}`", "between": f"{low:g}, {high:g}"}
         if result.problem.prior is not None:
             row["prior"] = "uniform" if number.prior is None else number.prior.text
-        row["start"] = text(number.start)
-        row["found"] = f"**{text(value)}**"
-        row["95 %"] = within(number, intervals[index])
+        row |= {"start": text(number.start), "found": f"**{text(value)}**", "95 %": within(number, intervals[index])}
         if truth:
             row |= {"truth": text(truth[number.name]), "error": text(value - truth[number.name])}
             row["truth inside"] = "yes" if number.name in result.inside else "**no**"
@@ -250,17 +244,15 @@ def every_answer(result: Result) -> str:
 
 
 def comparison(result: Result) -> str:
-    """Each observation as it was measured and at the answer."""
     target, rows, runs = result.target, [], len(result.answers[0].checks)
     numbers = (target.values, result.predicted, target.deviation)
     measured, shown, deviation = (target.observation.scale * values for values in numbers)
     which = f"{result.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
     for part in target.observation.parts:
         span, text, root = part.numbers, part.observation.text, part.observation.root_text
-        row = {"observation": part.name, "target": text(measured[span]), which: text(shown[span])}
-        row["noise"] = root(rms(deviation[span]))
         off = rms(shown[span] - measured[span]) if len(shown) == len(measured) else np.nan
-        row["residual (root mean square)"] = root(off)
+        row = {"observation": part.name, "target": text(measured[span]), which: text(shown[span])}
+        row |= {"noise": root(rms(deviation[span])), "residual (root mean square)": root(off)}
         row |= {name.replace("_", " "): f"{score:.3f}" for name, score in result.scores.get(part.name, {}).items()}
         rows.append(row)
     return markdown_table(rows)
@@ -280,7 +272,6 @@ def data_that_matter(result: Result) -> str:
 
 
 def identified(field: FieldPosterior) -> str:
-    """Which part of a field the observation tells, in a sentence."""
     inside, box = field.unknown.inside, field.identified_box()
     if box is None:
         return f"The observation removes less than {100.0 * IDENTIFIED:.0f} % of the prior's variance of every value."
@@ -304,9 +295,9 @@ def field_table(field: FieldPosterior) -> str:
     for name, where in (("all", inside), ("identified", field.identified), ("others", inside & ~field.identified)):
         if not where.any():
             continue
+        before, after = (field.arrays[name][where].mean() for name in ("prior_deviation", "deviation"))
         row = {"": name, "values": str(int(where.sum()))}
-        row[f"deviation, prior{unit}"] = f"{field.arrays['prior_deviation'][where].mean():.3g}"
-        row[f"posterior{unit}"] = f"{field.arrays['deviation'][where].mean():.3g}"
+        row |= {f"deviation, prior{unit}": f"{before:.3g}", f"posterior{unit}": f"{after:.3g}"}
         if field.truth is not None:
             row[f"error of the prior's mean{unit}"] = f"{field.error(where, field.unknown.settings.mean):.3g}"
             row[f"of the found field{unit}"] = f"{field.error(where):.3g}"
@@ -317,12 +308,10 @@ def field_table(field: FieldPosterior) -> str:
 
 def uncertainty(result: Result) -> list[str]:
     """What the intervals are made of, and which combinations of the numbers are known how well."""
-    parts = list(result.notes)
-    if result.target.roughness > 1.0:
-        parts.append(
-            f"The measured heights scatter about their neighbours by {result.target.roughness:.2g} times the stated "
-            "noise: so much noise is counted."
-        )
+    parts, rough = list(result.notes), result.target.roughness
+    if rough > 1.0:
+        times = f"{rough:.2g} times the stated noise"
+        parts.append(f"The measured heights scatter about their neighbours by {times}: so much noise is counted.")
     if len(result.combinations) > 1:
         words = {True: "**Identifiable**", False: "**Not identifiable**"}
         known = [f"- {words[mixed.identifiable]}: {mix(mixed, ',')}." for mixed in result.combinations]
@@ -393,6 +382,6 @@ def cost(result: Result) -> str:
 
 
 def summary(result: Result) -> str:
-    """The outcome for the terminal: the conclusion of the report."""
+    """The conclusion of the report, for the terminal."""
     lines = "".join(f"\n  {line}" for line in conclusion(result)).replace("**", "").replace("`", "")
     return f"{result.problem.name}: {result.verdict}{lines}"

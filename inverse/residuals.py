@@ -15,7 +15,6 @@ import numpy as np
 from inverse.inference_data import predictive
 from inverse.observations import Values
 from inverse.observations.observation import JointPart
-from inverse.posterior.sampling import systematic
 from inverse.result import Result
 
 OUTLIER = 3.0  # standardised residual beyond which a number is named
@@ -23,7 +22,7 @@ LISTED, WORST = 40, 10  # numbers of an observation that are all listed; of more
 NORMAL = 1.96  # half of a 95 % interval over the standard deviation
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Residuals:
     """Of one observation; each of shape [m], in its unit."""
 
@@ -39,12 +38,9 @@ class Residuals:
     def outliers(self) -> list[str]:
         """The numbers that are off by more than `OUTLIER`, in words."""
         label, places = self.part.observation.places
-        name, unit = label.split(" [")[0], label.partition(" [")[2].rstrip("]")
-        return [
-            f"{self.part.name} at {name} {place:.4g} {unit}".rstrip() + f" ({off:+.1f})"
-            for place, off in zip(places, self.standardised, strict=True)
-            if abs(off) > OUTLIER
-        ]
+        name, _, unit = label.rstrip("]").partition(" [")
+        beyond = [pair for pair in zip(places, self.standardised, strict=True) if abs(pair[1]) > OUTLIER]
+        return [f"{self.part.name} at {name} {place:.4g} {unit}".rstrip() + f" ({off:+.1f})" for place, off in beyond]
 
     @property
     def rows(self) -> list[dict[str, str]]:
@@ -73,29 +69,18 @@ def residuals(result: Result) -> list[Residuals]:
         return []
     if any(part.observation.every_particle for part in target.observation.parts):
         return []
-    rng, samples = np.random.default_rng(result.problem.optimiser.seed), posterior.samples
-    points = samples.points[systematic(samples.weights, len(samples.points), rng)]
+    rng = np.random.default_rng(result.problem.optimiser.seed)
+    points = posterior.samples.drawn(len(posterior.samples.points), rng)
     scale = np.broadcast_to(target.observation.scale, target.values.shape)
     lower, median, upper = scale * np.quantile(predictive(posterior, points, rng), (0.025, 0.5, 0.975), axis=0)
     observed, noise, counted = (scale * values for values in (target.values, target.deviation, posterior.deviation))
     unmeasured = np.maximum(((upper - lower) / (2.0 * NORMAL)) ** 2 - counted**2, 0.0)
     off = (observed - median) / np.maximum(np.sqrt(unmeasured + noise**2), 1e-300)
-    return [
-        Residuals(
-            part=part,
-            observed=observed[part.numbers],
-            noise=noise[part.numbers],
-            median=median[part.numbers],
-            lower=lower[part.numbers],
-            upper=upper[part.numbers],
-            standardised=off[part.numbers],
-        )
-        for part in target.observation.parts
-    ]
+    columns = (observed, noise, median, lower, upper, off)
+    return [Residuals(part, *(values[part.numbers] for values in columns)) for part in target.observation.parts]
 
 
 def outlying(fits: Sequence[Residuals]) -> str:
-    """The numbers that the posterior does not predict."""
     named = [name for fit in fits for name in fit.outliers]
     which = f"off by more than {OUTLIER:g} standard deviations of noise and prediction together"
     return f"Outliers, {which}: {'; '.join(named)}." if named else f"No number is {which}."

@@ -104,8 +104,7 @@ class Result:
     @property
     def error_pct(self) -> dict[str, float]:
         """Relative errors that are known: of each number in a twin experiment, of the front where the MPM ran."""
-        truth = self.target.truth or {}
-        values = self.problem.named(self.answer)
+        truth, values = self.target.truth or {}, self.problem.named(self.answer)
         errors = {name: 100.0 * abs(values[name] - true) / abs(true) for name, true in truth.items() if true != 0.0}
         if self.answers[0].checks and math.isfinite(self.target.front):
             off = [self.target.front_error(check.trajectory) for check in self.answers[0].checks]
@@ -130,7 +129,6 @@ class Result:
 
     @property
     def scene(self) -> Scene:
-        """The scene with what was found."""
         return self.problem.scene_at(self.answer, fields=[unknown.arrays["mean"] for unknown in self.fields])
 
     @property
@@ -158,7 +156,6 @@ class Result:
         ]
 
     def as_json(self) -> dict[str, Any]:
-        """As `result.json` has it."""
         problem, target, fit = self.problem, self.target, self.answers[0].fit
         key, whole = "mpm" if self.forward == "MPM" else "surrogate", target.observation
         numbers = {"target": target.values, key: self.predicted}
@@ -214,9 +211,7 @@ class Result:
             sampling = {"difference": samples.difference, "acceptance": samples.acceptance}
             keys["sampling"] = sampling | {"log_evidence": samples.evidence}
         if problem.prior is not None:
-            keys["prior"] = {
-                number.name: changed(number.prior) for number in problem.numbers if number.prior is not None
-            }
+            keys["prior"] = {number.name: changed(number.prior) for number in problem.numbers if number.prior}
             keys["correlations"] = [changed(correlation) for correlation in problem.correlations]
         if self.without:
             keys["without"] = self.without

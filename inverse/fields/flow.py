@@ -58,19 +58,14 @@ class WhiteFlow:
         return [unknown.values(latent) for unknown, latent in latents]
 
     def values(self, white: Floats) -> Floats:
-        """The numbers, shape [U]."""
         return self.problem.box.at(ndtr(white[self.of_numbers]))
 
     def scene_at(self, white: Floats, seed: int) -> Scene:
-        """The scene at white numbers [W] with a jitter seed."""
         return self.problem.scene_at(self.values(white), seed, self.fields(white))
 
     def simulated(self, points: Sequence[Floats], seeds: Sequence[int]) -> list[Trajectory]:
         """Runs at white numbers [W], each with its jitter seed."""
-        scenes, runs = (
-            [self.scene_at(point, seed) for point, seed in zip(points, seeds, strict=True)],
-            list[Trajectory](),
-        )
+        scenes, runs = list(map(self.scene_at, points, seeds)), list[Trajectory]()
         together, record = 2 * processors(), ALL if self.observation.over_time else LAST
         for first in range(0, len(scenes), together):
             runs += simulate_many(scenes[first : first + together], record=record)
@@ -151,9 +146,8 @@ class WhiteFlow:
         to the numbers [U].
         """
         adjoint = np.zeros(self.size)
-        for unknown, latent, part, nodes in zip(
-            self.problem.fields, self.latents(white), self.parts, by_nodes, strict=True
-        ):
+        rows = zip(self.problem.fields, self.latents(white), self.parts, by_nodes, strict=True)
+        for unknown, latent, part, nodes in rows:
             adjoint[part] = unknown.prior.white(nodes * unknown.slope(latent))
         density = np.exp(-0.5 * white[self.of_numbers] ** 2) / np.sqrt(2.0 * np.pi)
         adjoint[self.of_numbers] = by_numbers * self.problem.box.range * density
@@ -170,10 +164,8 @@ class WhiteFlow:
             volumes=torch.from_numpy(tape.batch.particles[index].volume).requires_grad_(),
         )
         numbers, seen = self.observation.predict(rollout), (positions, rollout.volumes)
-        rows = [
-            torch.autograd.grad(numbers, seen, torch.from_numpy(combination), retain_graph=True, materialize_grads=True)
-            for combination in combinations
-        ]
+        kept = {"retain_graph": True, "materialize_grads": True}
+        rows = [torch.autograd.grad(numbers, seen, row, **kept) for row in torch.from_numpy(combinations)]
         by_positions, by_volumes = ([gradient.numpy() for gradient in column] for column in zip(*rows, strict=True))
         return np.stack(by_positions), np.stack(by_volumes)
 

@@ -90,9 +90,8 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
     answer = checked(flow, target, outcome)
     if lead is not None and not answer.confirmed:
         print("the MPM does not confirm its answer and searches on by itself", file=sys.stderr)
-        outcome = replace(
-            alone(flow, target, outcome.posterior.mean), surrogate=outcome.surrogate | {"confirmed": False}
-        )
+        said = outcome.surrogate | {"confirmed": False}
+        outcome = replace(alone(flow, target, outcome.posterior.mean), surrogate=said)
         answer = checked(flow, target, outcome)
     posterior, shown = outcome.posterior, answer.checks[0].trajectory
     flow.bar.close()
@@ -224,15 +223,12 @@ def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
     # The MPM has no error of a surrogate.
     combinations = posterior.combinations if lead.reverses_combinations else None
     covariance = target.errors.matrix + 2.0 * scatter
-    objective = Objective(
-        flow, target.values, covariance, seeds[:1], lead=(lead, lead.problem.seeds), combinations=combinations
-    )
+    leads = lead, lead.problem.seeds
+    objective = Objective(flow, target.values, covariance, seeds[:1], lead=leads, combinations=combinations)
     runs = LED_RUNS - LED_CHECKS - len(pair)
     nearest = objective.minimise(posterior.mean, runs, numbers=pair[0], runs=runs)
-    unknowns = {
-        unknown.settings.name: float(values[unknown.inside].mean())
-        for unknown, values in zip(lead.problem.fields, lead.fields(posterior.mean), strict=True)
-    }
+    found = zip(lead.problem.fields, lead.fields(posterior.mean), strict=True)
+    unknowns = {unknown.settings.name: float(values[unknown.inside].mean()) for unknown, values in found}
     shown = [iterate["objective"] for iterate in objective.iterates]
     more = {"more_predictions": lead.runs - said["predictions"], "reverse_passes": lead.reverses}
     return replace(
@@ -244,8 +240,7 @@ def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
     )
 
 
-def field_posteriors(flow: "WhiteFlow", posterior: "Gaussian") -> list[FieldPosterior]:
-    """Each field with its widths at the nodes."""
+def field_posteriors(flow: WhiteFlow, posterior: Gaussian) -> list[FieldPosterior]:
     problem, draws = flow.problem, posterior.draws(DRAWS)
     posteriors = []
     for unknown, part, latent in zip(problem.fields, flow.parts, flow.latents(posterior.mean), strict=True):

@@ -31,7 +31,6 @@ class FieldPosterior:
 
     @property
     def stem(self) -> str:
-        """Of its files."""
         return re.sub(r"\W+", "-", self.name)
 
     @cached_property
@@ -65,7 +64,6 @@ class FieldPosterior:
         return (self.arrays["removed"] > IDENTIFIED) & self.unknown.inside
 
     def average(self, values: Values) -> float:
-        """Mean of values [K] beside the body."""
         return float(values[self.unknown.inside].mean())
 
     def identified_box(self) -> list[tuple[float, float]] | None:
@@ -89,7 +87,6 @@ class FieldPosterior:
         return float(np.mean(inside[where]))
 
     def as_json(self) -> dict[str, Any]:
-        """As `result.json` has it."""
         inside, identified, mean = self.unknown.inside, self.identified, self.unknown.settings.mean
         deviation = self.arrays["deviation"]
         return {

@@ -99,7 +99,6 @@ class Objective:
         return np.asarray(scipy.linalg.solve_triangular(self.root, numbers, lower=True))
 
     def iterate(self, white: Floats, numbers: Floats, step: float) -> dict[str, float]:
-        """That at white numbers [W] that show `numbers` [M]."""
         residual = self.whitened(numbers - self.target)
         squares = float(residual @ residual)
         objective, misfit = 0.5 * (squares + float(white @ white)), math.sqrt(squares / len(residual))

@@ -85,10 +85,9 @@ class SurrogateFlow(WhiteFlow):
             values, fields = self.tensors(white)
             leaves = [leaf.requires_grad_() for leaf in (values, *fields)]
             numbers = self.predicted(values, fields, seed)
-            for row, combination in enumerate(combinations):
-                slopes = torch.autograd.grad(
-                    numbers, leaves, torch.from_numpy(combination), retain_graph=True, materialize_grads=True
-                )
+            kept = {"retain_graph": True, "materialize_grads": True}
+            for row, combination in enumerate(torch.from_numpy(combinations)):
+                slopes = torch.autograd.grad(numbers, leaves, combination, **kept)
                 by_numbers, *by_nodes = (slope.numpy() for slope in slopes)
                 jacobian[row] += self.pulled_back(by_nodes, by_numbers, white) / len(seeds)
                 self.bar.update()
@@ -96,7 +95,6 @@ class SurrogateFlow(WhiteFlow):
         return jacobian
 
     def tensors(self, white: Floats) -> tuple[Tensor, list[Tensor]]:
-        """The numbers [U] and the values [K] of each field at white numbers [W]."""
         return torch.from_numpy(self.values(white)), [torch.from_numpy(field) for field in self.fields(white)]
 
     def errors(self, white: Floats) -> Floats:

@@ -137,7 +137,6 @@ class GnsForward:
         return differences
 
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
-        """Final positions of the particles [m], shape [n, D]."""
         with torch.no_grad():
             return self.unrolled([self.entered(torch.from_numpy(parameters))])[-1].numpy()
 

@@ -65,8 +65,6 @@ class Runout(Observation):
 
 @dataclass(frozen=True, kw_only=True)
 class RunoutSettings(ObservationSettings):
-    """Of `Runout`."""
-
     value: float | None = None  # [m]
 
     operator_type = Runout
@@ -112,8 +110,6 @@ class Toe(Observation):
 
 @dataclass(frozen=True, kw_only=True)
 class ToeSettings(ObservationSettings):
-    """Of `Toe`."""
-
     values: tuple[float, ...] | None = None  # its coordinates [m]
 
     operator_type = Toe
@@ -152,8 +148,6 @@ class Passed(Observation):
 
 @dataclass(frozen=True, kw_only=True)
 class PassedSettings(ObservationSettings):
-    """Of `Passed`."""
-
     value: float | None = None  # a share [-]
     line: float  # the x beyond which a particle has passed [m]
     width: float | None = None

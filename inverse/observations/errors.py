@@ -106,7 +106,6 @@ class Covariance:
         return Covariance(self.deviation / scale, matrix)
 
     def some(self, index: NDArray[np.int64]) -> "Covariance":
-        """That of the numbers with these indices."""
         matrix = None if self.dependent is None else self.dependent[np.ix_(index, index)]
         return Covariance(self.deviation[index], matrix)
 

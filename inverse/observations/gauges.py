@@ -168,8 +168,6 @@ class PeakForce(Impulse):
 
 @dataclass(frozen=True, kw_only=True)
 class PeakForceSettings(ObservationSettings):
-    """Of `PeakForce`."""
-
     value: float | None = None  # [N], in 2D per metre of width
     window: float
     """Time over which the force is averaged [s]: that of the sensor or its filter, at least a frame of the scene."""

@@ -153,7 +153,6 @@ class Observation:
         return np.asarray(self.scatter * np.maximum(np.abs(values), SMALL * np.abs(values).max()))
 
     def text(self, values: Values) -> str:
-        """The numbers in words."""
         if len(values) > 3:
             return f"{len(values)} numbers"
         return f"{', '.join(f'{v:.4f}' if abs(v) < LONG else f'{v:.6g}' for v in values)} {self.unit}".strip()

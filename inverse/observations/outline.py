@@ -81,10 +81,8 @@ class Boundary(SmoothObservation):
         wanted = float(np.clip(line.length / (2.0 * scene.domain.cell), *POINTS))
         rings = [ring for part in shapely.get_parts(region) for ring in (part.exterior, *part.interiors)]
         counts = [max(1, round(wanted * ring.length / line.length)) for ring in rings]
-        places = [
-            shapely.line_interpolate_point(ring, (np.arange(count) + 0.5) / count, normalized=True)
-            for ring, count in zip(rings, counts, strict=True)
-        ]
+        shares = [(np.arange(count) + 0.5) / count for count in counts]
+        places = [shapely.line_interpolate_point(*pair, normalized=True) for pair in zip(rings, shares, strict=True)]
         self.points = np.concatenate(places)
         self.count = len(self.points)
 

@@ -118,8 +118,6 @@ class Thickness(SmoothObservation):
 
 @dataclass(frozen=True, kw_only=True)
 class ThicknessSettings(ObservationSettings):
-    """Of `Thickness`."""
-
     file: str | None = None
     """A raster of thicknesses [m], or points of a survey of the surface (`datasets.exchange.points`), in the map
     coordinates of the scene."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise, starmap
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,14 +77,12 @@ class Target:
 
 def without(target: Target, name: str) -> tuple[Target, NDArray[np.int64]]:
     """Several observations as one without one of them, or all for a name that none has, and which numbers are left."""
-    parts, kept, index = [], 0, []
-    for part in target.observation.parts:
+    parts, left, whole = [], np.arange(0), target.observation
+    for part in whole.parts:
         if part.name != name:
             numbers = np.arange(len(target.values))[part.numbers]
-            parts.append(replace(part, numbers=slice(kept, kept + len(numbers))))
-            index.append(numbers)
-            kept += len(numbers)
-    left, whole = np.concatenate(index), target.observation
+            parts.append(replace(part, numbers=slice(len(left), len(left) + len(numbers))))
+            left = np.concatenate([left, numbers])
     scale = np.broadcast_to(whole.scale, len(target.values))[left]
     prior = scale * whole.prior_scatter(target.values)[left]
     observation, values, errors = Joint(parts, scale, prior), target.values[left], target.errors.some(left)
@@ -94,11 +93,9 @@ def joined(targets: Sequence[Target], names: Sequence[str]) -> Target:
     """Several observations, as reports call them, as one. Raises InputError for numbers without any deviation."""
     if len(targets) == 1:
         return targets[0]
-    ends = np.cumsum([0, *(len(target.values) for target in targets)]).tolist()
-    parts = [
-        JointPart(name=name, observation=target.observation, numbers=slice(first, end))
-        for name, target, first, end in zip(names, targets, ends[:-1], ends[1:], strict=True)
-    ]
+    spans = starmap(slice, pairwise(np.cumsum([0, *(len(target.values) for target in targets)]).tolist()))
+    rows = zip(names, targets, spans, strict=True)
+    parts = [JointPart(name=name, observation=target.observation, numbers=span) for name, target, span in rows]
     prior = np.concatenate([target.observation.prior_scatter(target.values) for target in targets])
     errors = Covariance.joined([target.errors for target in targets])
     scale = np.hypot(errors.deviation, prior)

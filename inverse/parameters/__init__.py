@@ -150,15 +150,13 @@ class Parameter(Record):
 
     @cached_property
     def marginal(self) -> Marginal:
-        """The prior of a number."""
         lower, upper = self.bounds
         return Marginal(law=(self.prior or Prior(kind="uniform")).law(lower, upper), lower=lower, upper=upper)
 
     @property
     def range(self) -> float:
         """Width of the prior bounds of a number."""
-        lower, upper = self.bounds
-        return upper - lower
+        return self.bounds[1] - self.bounds[0]
 
     @property
     def quantity(self) -> str:
@@ -168,15 +166,14 @@ class Parameter(Record):
     @property
     def mass(self) -> int | None:
         """Of a field: the index of the mass that has it; None for all."""
-        return self.index_of("masses")
+        return self._index_of("masses")
 
     @property
     def solid(self) -> int | None:
         """Of a field: the index of the terrain that has it; None of one over the particles."""
-        return self.index_of("solids")
+        return self._index_of("solids")
 
-    def index_of(self, group: str) -> int | None:
-        """The index of the member of a group that has it."""
+    def _index_of(self, group: str) -> int | None:
         match = re.match(rf"{group}\[(\d{{1,6}})\]\.", self.name)
         return None if match is None else int(match[1])
 

@@ -143,7 +143,6 @@ class UnknownField:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """What its nodes are counted along."""
         return ("zone",) if self.zones is not None else ("x", "z") if self.in_plan else ("x", "y", "z")
 
     def values(self, latent: Floats) -> Floats:
@@ -182,8 +181,8 @@ class UnknownField:
         """Where the particles that have it take their values [m], shape [n, D], in plan [n, D - 1]."""
         if self.settings.quantity != THICKNESS:
             particles = initial_particles(scene)
-            members = self.of(particles.mass)
-            return particles.positions[members][:, ::2] if self.in_plan else particles.positions[members]
+            places = particles.positions[self.of(particles.mass)]
+            return places[:, ::2] if self.in_plan else places
         masses = [mass for index, mass in enumerate(scene.masses) if self.settings.mass in (None, index)]
         return np.concatenate([filling(scene, mass).lattice[:, ::2] for mass in masses])
 
@@ -230,10 +229,10 @@ class UnknownField:
         """
         scene, settings, particles = gradient.scene, self.settings, gradient.particles
         if not self.in_plan:
-            friction = settings.quantity == FRICTION
-            derivatives = (
-                gradient.material(FRICTION) if friction else gradient.velocities[:, VELOCITIES.index(settings.quantity)]
-            )
+            if settings.quantity == FRICTION:
+                derivatives = gradient.material(FRICTION)
+            else:
+                derivatives = gradient.velocities[:, VELOCITIES.index(settings.quantity)]
             derivatives = np.where(self.of(particles.mass), derivatives, 0.0)
             return np.asarray(self.grid.weights(particles.positions).T @ derivatives)
         relative, places = settings.quantity == THICKNESS, self.places(scene)
@@ -277,12 +276,11 @@ class Zones:
         from datasets.maps import map_corner
 
         raster, (corner, crs) = read_raster(path, coefficients=True), map_corner(scene)
-        with naming(path):
-            require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
         self.axes = [axis - low for axis, low in zip((raster.x, raster.z), corner, strict=True)]
         self.numbers, which = np.unique(raster.values, return_inverse=True)
         """Of the zones, ascending, shape [K]."""
         with naming(path):
+            require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
             whole = bool(np.isfinite(self.numbers).all() and (self.numbers == np.round(self.numbers)).all())
             require(whole, "", "the whole number of a zone in every cell", "others")
             require(len(self.numbers) <= MOST_ZONES, "", f"at most {MOST_ZONES} zones", len(self.numbers))
@@ -290,11 +288,10 @@ class Zones:
 
     def weights(self, plan: Floats) -> Any:
         """1 for the zone of the nearest cell of the raster to each place [m], [N, 2]; sparse [N, K]."""
-        nearest = [
-            np.clip(np.rint((plan[:, n] - axis[0]) / (axis[1] - axis[0])), 0, len(axis) - 1).astype(int)
-            for n, axis in enumerate(self.axes)
-        ]
-        ones = np.ones(len(plan)), (np.arange(len(plan)), self.which[tuple(nearest)])
+        columns = zip(plan.T, self.axes, strict=True)
+        steps = [(np.rint((places - axis[0]) / (axis[1] - axis[0])), len(axis) - 1) for places, axis in columns]
+        nearest = tuple(np.clip(step, 0, last).astype(int) for step, last in steps)
+        ones = np.ones(len(plan)), (np.arange(len(plan)), self.which[nearest])
         return sparse.csr_array(ones, (len(plan), len(self.numbers)))
 
 

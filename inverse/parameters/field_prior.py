@@ -54,7 +54,6 @@ class FieldPrior:
 
     @property
     def size(self) -> int:
-        """W."""
         return len(self.root_mass)
 
     @cached_property

@@ -64,7 +64,6 @@ class Kind:
 
     @property
     def key(self) -> str:
-        """Name of the attribute."""
         return self.attribute or self.form.split(".")[-1]
 
     @property
@@ -73,7 +72,6 @@ class Kind:
         return self.input is not None or self.changes_volume
 
     def text(self, value: float) -> str:
-        """A value with its unit."""
         return f"{value:z.{self.digits}f} {self.unit}".removesuffix(" -")
 
     def check(self, scene: Scene) -> None:
@@ -116,7 +114,6 @@ class Kind:
         return ""
 
     def holder(self, scene: Scene | Draft) -> Any:
-        """The scene, mass, baffle or solid that has it."""
         return scene if self.index is None else getattr(scene, self.group)[self.index]
 
     def value(self, holder: Any) -> float:

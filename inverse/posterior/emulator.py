@@ -26,7 +26,7 @@ output from a complex computer code when fast approximations are available, Biom
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -237,12 +237,10 @@ def fitted(points: Matrix, numbers: Matrix, expected: Matrix, *, trend: Trend = 
     """The emulator with the likeliest correlation lengths, of many parameters a common one; arguments as its own."""
     count = points.shape[1]
     free = count if count <= CONSTANTS.separate_lengths else 1
+    of = partial(Emulator, points=points, numbers=numbers, expected_scatter=expected, trend=trend, repeats=repeats)
 
     def at(logarithms: NDArray[np.floating]) -> Emulator:
-        lengths = np.broadcast_to(np.exp(logarithms), (count,))
-        return Emulator(
-            points=points, numbers=numbers, expected_scatter=expected, lengths=lengths, trend=trend, repeats=repeats
-        )
+        return of(lengths=np.broadcast_to(np.exp(logarithms), (count,)))
 
     middle = round(math.log(CONSTANTS.length_scale * np.sqrt(count)) / LENGTH_STEPS[-1])
     logarithms = likeliest(lambda steps: at(LENGTH_STEPS[-1] * steps).log_likelihood, np.full(free, middle))

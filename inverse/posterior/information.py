@@ -17,7 +17,7 @@ from datasets.scene import Scene
 from datasets.scene.particles import particle_volumes
 from inverse.posterior import Matrix
 from inverse.posterior.emulator import fitted
-from inverse.posterior.sampling import Samples, systematic
+from inverse.posterior.sampling import Samples
 
 STATIONS = 9  # places along x at which a height could be measured
 ACROSS = 4  # places along z, in 3D
@@ -45,8 +45,7 @@ def information(
     points: Matrix, shown: Mapping[str, Matrix], samples: Samples, *, cell: float, rng: np.random.Generator
 ) -> dict[str, float]:
     """I [nat] of each measurement, most first; shown: by name what runs at points [n, U] show, [n]; cell: [m]."""
-    where = samples.points[systematic(samples.weights, 400, rng)]
-    gains = {}
+    where, gains = samples.drawn(400, rng), {}
     for name, numbers in shown.items():
         spread = float(numbers.std())
         if spread <= 1e-3 * cell:

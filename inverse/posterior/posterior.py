@@ -37,7 +37,7 @@ from inverse.observations.target import Target
 from inverse.posterior import Matrix, Row
 from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear, most_informative, squared_distance
 from inverse.posterior.reduction import Reduction, reduction
-from inverse.posterior.sampling import Samples, sample, systematic
+from inverse.posterior.sampling import Samples, sample
 from inverse.posterior.settings import CONSTANTS
 
 OUTERMOST = 0.1  # share of a region's extent, within which a sample lies at its edge
@@ -55,7 +55,6 @@ class Region:
 
     @staticmethod
     def whole(unknowns: int) -> "Region":
-        """The unit box."""
         return Region(low=np.zeros(unknowns), high=np.ones(unknowns))
 
     @staticmethod
@@ -118,10 +117,8 @@ class Regime:
         interpolation function for irregularly-spaced data, Proc. ACM Natl. Conf. 23 (1968) 517-524): the nearest count.
         """
         power = 0.5 * points.shape[1] + 1.0
-        inside, outside = (
-            (np.maximum(squared_distance(points, runs, np.ones(1)), 1e-12) ** -power).sum(axis=1)
-            for runs in (self.inside, self.outside)
-        )
+        squares = (squared_distance(points, runs, np.ones(1)) for runs in (self.inside, self.outside))
+        inside, outside = ((np.maximum(square, 1e-12) ** -power).sum(axis=1) for square in squares)
         return np.asarray(np.log(np.maximum(inside / (inside + outside), 1e-300)))
 
 
@@ -165,11 +162,8 @@ class Likelihood:
 
     def in_regime(self, points: Matrix) -> Row:
         """Logarithm of the probability that points [S, U] are in the target's regime, and not excluded, shape [S]."""
-        logarithm = np.zeros(len(points))
-        for term in (self.regime, self.within):
-            if term is not None:
-                logarithm += term(points)
-        return logarithm
+        terms = [term(points) for term in (self.regime, self.within) if term is not None]
+        return np.asarray(sum(terms, np.zeros(len(points))))
 
     def residual(self, points: Matrix) -> tuple[Matrix, Matrix, Matrix]:
         """y* - m(v) [S, r], the fixed part of C(v) [r, r], and what is on its diagonal besides [S, r]."""
@@ -192,7 +186,7 @@ class Posterior:
     reduction: Reduction
     likelihood: Likelihood
     samples: Samples
-    region: "Region"
+    region: Region
     """What had not been excluded before."""
     near: NDArray[np.bool_]
     """Which of all runs the emulator is made of, shape [n]."""
@@ -323,11 +317,8 @@ def emulated(
     """The emulator of runs at points [n, U] that show `numbers` [n, M], with `repeated_scatter`."""
     reduced = reduction(numbers, points, target, scatter=scatter)
     expected, repeats = repeated_scatter(points, reduced.components, reduced.expected_scatter)
-    made = [
-        fitted(points, reduced.components, expected, trend=trend, repeats=repeats)
-        for trend in trends
-        if len(points) > trend(points[:1]).shape[1] + 1
-    ]
+    enough = [trend for trend in trends if len(points) > trend(points[:1]).shape[1] + 1]
+    made = [fitted(points, reduced.components, expected, trend=trend, repeats=repeats) for trend in enough]
     return reduced, min(made, key=lambda emulator: float(np.mean(emulator.left_out[0] ** 2))), expected, repeats
 
 
@@ -357,5 +348,5 @@ def next_points(posterior: Posterior, count: int, rng: np.random.Generator) -> M
     """
     if posterior.samples.points.shape[1] > CONSTANTS.few_parameters:
         return posterior.next_region.filled(count, rng)
-    candidates = np.unique(posterior.plausible.points[systematic(posterior.plausible.weights, 300, rng)], axis=0)
+    candidates = np.unique(posterior.plausible.drawn(300, rng), axis=0)
     return candidates[most_informative(posterior.emulator, candidates, count, np.diag(posterior.likelihood.fixed))]

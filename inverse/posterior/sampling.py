@@ -50,6 +50,10 @@ class Samples:
         off = self.points - self.mean
         return np.asarray((off.T * self.weights) @ off)
 
+    def drawn(self, count: int, rng: np.random.Generator) -> Matrix:
+        """Points drawn again to equal weights, shape [count, U]."""
+        return np.asarray(self.points[systematic(self.weights, count, rng)])
+
 
 def sample(log_likelihood: LogLikelihood, rng: np.random.Generator, *, low: Row, high: Row) -> Samples:
     """Samples of the posterior with a uniform prior between `low` and `high`, both of shape [U]."""

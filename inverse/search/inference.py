@@ -75,19 +75,13 @@ class Inference:
         if cells is not None and self.spared:
             cells = cells / self.factor
         for _ in range(UPDATES):
-            latest = posterior(
+            latest = replace(self, target=target, discretisation=cells).by(
                 points,
                 search.numbers,
-                target,
-                scatter=self.scatter,
+                search.generator(),
                 region=region,
-                rng=search.generator(),
-                factor=self.factor,
-                discretisation=cells,
-                extrapolated=self.extrapolated,
                 trends=(linear,) if guide is None else (guide.trend, linear),
                 within=None if guide is None or (many and search.waves) else guide.within,
-                prior=self.problem.prior,
             )
             if target.dof is None:
                 break
@@ -97,6 +91,11 @@ class Inference:
             if np.all(np.abs(target.deviation - before) <= REWEIGHTED * before):
                 break
         return replace(self, latest=latest, region=None, target=target)
+
+    def by(self, points: Matrix, numbers: Matrix, rng: np.random.Generator, **options: Any) -> Posterior:
+        """The posterior by runs at points [n, U] that show `numbers` [n, M]; options: as of `posterior`."""
+        options |= {"scatter": self.scatter, "discretisation": self.discretisation, "extrapolated": self.extrapolated}
+        return posterior(points, numbers, self.target, rng=rng, factor=self.factor, prior=self.problem.prior, **options)
 
     def left(self, points: Matrix, *, known: bool) -> Region | None:
         """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there.
@@ -246,17 +245,8 @@ def left_out(search: WaveSearch[Any, Any]) -> dict[str, dict[str, float]]:
     for name in (ALL_DATA, *names):
         target, index = without(knowledge.target, name)
         cells = None if knowledge.discretisation is None else knowledge.discretisation[index]
-        samples = posterior(
-            search.points,
-            search.numbers[:, index],
-            target,
-            scatter=knowledge.scatter[index],
-            rng=search.generator(),
-            factor=knowledge.factor,
-            discretisation=cells,
-            extrapolated=knowledge.extrapolated,
-            prior=knowledge.problem.prior,
-        ).samples
+        rest = replace(knowledge, target=target, scatter=knowledge.scatter[index], discretisation=cells)
+        samples = rest.by(search.points, search.numbers[:, index], search.generator()).samples
         low, _, high = quantiles(samples.points, samples.weights)
         widths[name] = knowledge.problem.named(0.5 * knowledge.box.range * (high - low))
     return widths
@@ -320,6 +310,5 @@ def narrowed(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
 
 
 def parts_of(search: WaveSearch[R, Inference]) -> list[Part]:
-    """The separate parts of the 95 % region."""
     belief = search.knowledge.posterior
     return parts(belief.samples, belief.likelihood, search.generator())

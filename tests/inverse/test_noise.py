@@ -1,6 +1,7 @@
 """The predictive interval: as wide as noise, scatter and cells say, over seeds; what is beyond it is named."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,15 +64,13 @@ def test_the_noise_of_a_number_is_that_number_s() -> None:
 
 def test_errors_that_are_one_error_count_as_one_number() -> None:
     """Twenty numbers that are all off by the same: dependent errors, one degree of freedom."""
-    rng, size = np.random.default_rng(3), 20
-    common = 0.04 * np.ones((size, size)) + 1e-6 * np.eye(size)
-    values, scatter = np.full(size, 0.4), scatter_of(rng, size, 0.001, expected=0.001)
-    apart = Target(observation=FRONT, values=values, errors=Covariance(np.full(size, 0.2)))
-    together = Target(observation=FRONT, values=values, errors=Covariance(np.full(size, 0.2), common))
-    shown = np.zeros((4, size))
-    assert not fit(apart, shown, scatter).inside
-    assert fit(together, shown, scatter).inside
-    assert fit(together, shown, scatter).freedom[0] == pytest.approx(1.0, abs=0.1)
+    size = 20
+    scatter = scatter_of(np.random.default_rng(3), size, 0.001, expected=0.001)
+    apart = target_of(np.full(size, 0.4), 0.2)
+    together = replace(apart, errors=Covariance.of(0.04 * np.ones((size, size)) + 1e-6 * np.eye(size)))
+    alone, shared = (fit(target, np.zeros((4, size)), scatter) for target in (apart, together))
+    assert (alone.inside, shared.inside) == (False, True)
+    assert shared.freedom[0] == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.parametrize("dependent", [False, True])

@@ -34,9 +34,8 @@ from tests.refusals import refused
 
 RAMP = tuple(tuple(0.3 - 0.3 * x + 0.02 * abs(z) for z in range(-1, 6)) for x in np.linspace(-0.2, 1.0, 7))
 FRICTIONS = tuple(tuple(0.2 + 0.05 * ((i + k) % 3) for k in range(7)) for i in range(7))
-THICKNESS = Field(
-    quantity="thickness", origin=(0.1, 0.1), spacing=(0.1, 0.1), nodes=(3, 3), values=(0.1, 0.12, 0.1) * 3
-)
+PLACE: dict[str, Any] = {"origin": (0.1, 0.1), "spacing": (0.1, 0.1), "nodes": (3, 3)}
+THICKNESS = Field(quantity="thickness", values=(0.1, 0.12, 0.1) * 3, **PLACE)
 SCENE = Scene(
     domain=Domain(size=(0.8, 0.6, 0.6), cell=0.05),
     material=Material(friction_deg=30.0, young=2.0e5),

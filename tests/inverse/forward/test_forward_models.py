@@ -52,9 +52,8 @@ def test_between_two_steps_particles_move_straight(problem: Problem) -> None:
 def test_a_thickness_makes_other_particles_and_has_no_derivative(problem: Problem) -> None:
     layer = Mass(kind="layer", thickness=0.06, outline=((0.0,), (0.08,)))
     thickness = Parameter(name="masses[0].thickness", initial=0.06, lower=0.025, upper=0.075)
-    other = dataclasses.replace(
-        problem, scene=dataclasses.replace(problem.scene, masses=(layer,)), parameters=(*problem.parameters, thickness)
-    )
+    scene, parameters = dataclasses.replace(problem.scene, masses=(layer,)), (*problem.parameters, thickness)
+    other = dataclasses.replace(problem, scene=scene, parameters=parameters)
     forward = forward_of(other)
     values = np.array([30.0, 0.05])
     assert len(forward.deposit(values)) != len(forward.deposit(np.array([30.0, 0.08])))

@@ -26,10 +26,8 @@ def measured(folder: Path, x: np.ndarray = X, height: np.ndarray = HEIGHT, **set
     """The problem whose target is a CSV of these rows."""
     rows = "".join(f"{a:.9g},{b:.9g}\n" for a, b in zip(x, height, strict=True))
     (folder / "profile.csv").write_text("x,height\n" + rows)
-    problem = read_problem("friction-tall-42")
-    return dataclasses.replace(
-        problem, observations=(ProfileSettings(csv="profile.csv", **settings),), folder=folder, target=TargetSettings()
-    )
+    seen = {"observations": (ProfileSettings(csv="profile.csv", **settings),), "target": TargetSettings()}
+    return dataclasses.replace(read_problem("friction-tall-42"), folder=folder, **seen)
 
 
 def target_of(problem: Problem) -> Target:
@@ -81,9 +79,8 @@ def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> Non
     problem = measured(tmp_path, noise="3%")
     observation = problem.operators[0]
     target = target_of(problem)
-    rng = np.random.default_rng(7)
+    rng, seen = np.random.default_rng(7), []
     deviation = np.where(X < 0.43, np.hypot(0.03 * HEIGHT, REPRESENTATION * problem.scene.domain.cell), 0.0)
-    seen = []
     for _ in range(400):
         heights = np.maximum(0.0, HEIGHT + deviation * rng.standard_normal(len(X)))
         seen.append(observation.of_heights(np.interp(observation.stations, X, heights, right=0.0)))
@@ -111,10 +108,8 @@ def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None
 def test_elevations_over_terrain_are_heights_above_it(tmp_path: Path) -> None:
     plain = measured(tmp_path, heights=Heights.SURFACE)
     line = Solid(kind="terrain", points=((0.0, 0.3), (1.0, 0.1)), friction=0.4)
-    (mass,) = plain.scene.masses
-    scene = dataclasses.replace(
-        plain.scene, solids=(line,), masses=(dataclasses.replace(mass, lower=(0.0, 0.32), size=(0.2, 0.4)),)
-    )
+    raised = Mass(lower=(0.0, 0.32), size=(0.2, 0.4))
+    scene = dataclasses.replace(plain.scene, solids=(line,), masses=(raised,))
     expected = target_of(plain)
     (tmp_path / "slope").mkdir()
     over = measured(tmp_path / "slope", X, HEIGHT + 0.3 - 0.2 * X + 5.0, heights=Heights.ELEVATION, datum=5.0)

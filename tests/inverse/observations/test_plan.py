@@ -189,11 +189,9 @@ def test_an_outline_is_signed_distances_along_the_boundary(suffix: str, tmp_path
 def test_our_own_outline_is_compared_at_its_own_threshold(tmp_path: Path) -> None:
     """Of several the lowest, or the one that is named; of a file without any a large default is said."""
     made, corner = scene(origin=True), np.array(CORNER)
-    circles = {
-        level: shapely.transform(shapely.Polygon(ring(r)), corner.__add__) for level, r in ((0.05, 1.2), (0.08, 1))
-    }
-    written = np.array([shapely.to_wkb(circle) for circle in circles.values()])
-    columns = [np.array(["deposit"] * 2, object), np.array([*circles])]
+    circles = [shapely.transform(shapely.Polygon(ring(radius)), corner.__add__) for radius in (1.2, 1.0)]
+    written = np.array([shapely.to_wkb(circle) for circle in circles])
+    columns = [np.array(["deposit"] * 2, object), np.array([0.05, 0.08])]
     for name, fields in (("own.gpkg", ["name", "threshold_m"]), ("other.gpkg", ["name", "depth"])):
         pyogrio.raw.write(tmp_path / name, written, columns, fields, geometry_type="Polygon", crs="EPSG:2056")
     for thickness, level, area in ((None, 0.05, 1.2), (0.08, 0.08, 1.0)):

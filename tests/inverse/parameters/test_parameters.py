@@ -15,17 +15,9 @@ from tests.gns.training.test_samples import tensors
 from tests.inverse.flows import FLOWS, problem_of, simulator_of
 from tests.refusals import refused
 
+SOIL = ("friction_deg", "cohesion", "masses[1].friction_deg")
 NAMES: dict[int | str, tuple[str, ...]] = {
-    2: (
-        "friction_deg",
-        "cohesion",
-        "masses[1].friction_deg",
-        "masses[1].velocity_y",
-        "baffles[0].x",
-        "baffles[0].height",
-        "wall_friction",
-        "baffle_friction",
-    ),
+    2: (*SOIL, "masses[1].velocity_y", "baffles[0].x", "baffles[0].height", "wall_friction", "baffle_friction"),
     3: ("masses[0].velocity_z", "baffles[1].z", "baffles[1].width", "baffles[0].x", "baffles[0].length"),
     "terrain": ("floor_friction", "damping", "solids[0].friction", "solids[1].friction"),
 }
@@ -86,16 +78,13 @@ def test_bounds_at_which_nothing_could_flow_are_refused(
 
 
 COLUMN = read_problem("friction-tall-42").scene
+SOFTENS = {"softening_length": 0.05, "friction_limit_deg": 50.0, "grain_diameter": 1.0e-3}
 SOFT = dataclasses.replace(
     COLUMN,
-    material=dataclasses.replace(
-        COLUMN.material, softening_length=0.05, friction_limit_deg=50.0, grain_diameter=1.0e-3
-    ),
+    material=dataclasses.replace(COLUMN.material, **SOFTENS),
     masses=(dataclasses.replace(COLUMN.masses[0], k0=0.5, size=(0.2, 0.4)),),
     baffles=(Baffle(lower=(0.6, 0.0), size=(0.05, 0.1)),),
 )
-
-
 GROUND = Solid(name="slope", kind="terrain", points=((0.0, 0.4), (1.0, 0.1)), friction=0.3)
 LAYER = Mass(kind="layer", thickness=0.1, outline=((0.1,), (0.3,)))
 COVERED = dataclasses.replace(COLUMN, masses=(LAYER,), solids=(GROUND,))

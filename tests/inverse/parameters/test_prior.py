@@ -43,14 +43,11 @@ def number(prior: Prior | None, name: str = "friction_deg", **bounds: float) -> 
 
 def joint(first: float = 0.15, second: float = 0.2, coefficient: float = -0.5) -> JointPrior:
     """Of two normal numbers about 0.4 and 0.6 whose bounds, 0 and 1, hardly cut them off."""
-    numbers = [
-        number(Prior(kind="normal", mean=mean, deviation=deviation), name, lower=0.0, upper=1.0)
-        for name, mean, deviation in (("first", 0.4, first), ("second", 0.6, second))
-    ]
-    return JointPrior(
-        {parameter.name: parameter.marginal for parameter in numbers},
-        [Correlation(between=("first", "second"), coefficient=coefficient)],
-    )
+    marginals = {}
+    for name, mean, deviation in (("first", 0.4, first), ("second", 0.6, second)):
+        prior = Prior(kind="normal", mean=mean, deviation=deviation)
+        marginals[name] = number(prior, name, lower=0.0, upper=1.0).marginal
+    return JointPrior(marginals, [Correlation(between=("first", "second"), coefficient=coefficient)])
 
 
 @pytest.mark.parametrize("prior", [NORMAL, LOGNORMAL, TRIANGULAR, Prior(kind="uniform")], ids=lambda prior: prior.kind)
@@ -60,9 +57,8 @@ def test_a_measurement_that_says_nothing_leaves_the_prior(prior: Prior) -> None:
     numbers = 1e-3 * points + rng.standard_normal((30, 1))
     inference = posterior(points, numbers, target_of(np.zeros(1)), scatter=np.ones(1), rng=rng, prior=stated)
     shares = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
-    quantiles = np.quantile(
-        inference.samples.points[:, 0], shares, weights=inference.samples.weights, method="inverted_cdf"
-    )
+    points, weights = inference.samples.points[:, 0], inference.samples.weights
+    quantiles = np.quantile(points, shares, weights=weights, method="inverted_cdf")
     exact = EXACT[prior.kind](shares)
     np.testing.assert_allclose(LOWER + (UPPER - LOWER) * quantiles, exact, atol=0.8)
     # What draws of a prior are made by is exact.
@@ -147,9 +143,8 @@ def stated(folder: Path, text: str = GOOD) -> Problem:
 
 
 def plain(problem: Problem) -> tuple[Parameter, ...]:
-    return tuple(
-        dataclasses.replace(parameter, prior=None, initial=parameter.start) for parameter in problem.parameters
-    )
+    numbers = problem.parameters
+    return tuple(dataclasses.replace(parameter, prior=None, initial=parameter.start) for parameter in numbers)
 
 
 def test_a_stated_prior_is_read_and_a_uniform_one_is_none(tmp_path: Path) -> None:
