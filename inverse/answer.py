@@ -58,6 +58,12 @@ class MpmRun(ModelRun):
     seconds: float = 0.0
     file: str = ""  # beside `result.json`
 
+    @classmethod
+    def of(cls, flow: Trajectory, parameters: Vector, problem: Problem, target: Target, **others: Any) -> "MpmRun":
+        """A flow with `parameters` [U], observed as the target is; others: of the fields."""
+        point, numbers = problem.box.shares(parameters), target.observation.observe(problem.clocked(flow, parameters))
+        return cls(parameters=parameters, point=point, numbers=numbers, trajectory=flow, **others)
+
     def as_json(self, problem: Problem, target: Target) -> dict[str, Any]:
         return {
             "purpose": self.purpose.value,

@@ -293,9 +293,7 @@ def fit(found: Sequence[Residuals]) -> Figure:
 
 
 def field(posterior: FieldPosterior) -> Figure:
-    """A field over the body, from the side, in 3D on the middle plane across z, or in plan; over one axis a curve with
-    its band, of zones a bar for each.
-    """
+    """A field from the side, in 3D on the middle plane, or in plan; over one axis or of zones see `curve`."""
     grid, axes_of = posterior.unknown.grid, posterior.unknown.axes
     varying = [axis for axis in range(min(2, len(grid.nodes))) if grid.nodes[axis] > 1]
     label = f"{LABELS[posterior.unknown.settings.quantity]} [{posterior.unknown.unit or '-'}]"
@@ -326,25 +324,22 @@ def field(posterior: FieldPosterior) -> Figure:
 
 
 def curve(posterior: FieldPosterior, axis: int, label: str) -> Figure:
+    """A field along one axis with its band; of zones a bar for each."""
     figure, panel = plt.subplots(figsize=(0.6 * WIDTH, 3.0), layout="constrained")
     grid = posterior.unknown.grid
     lines = np.moveaxis(np.arange(grid.count).reshape(grid.nodes), axis, 0)
     along, first = grid.axes[axis], lines.reshape(len(lines), -1)[:, 0]
     line = {name: values[first] for name, values in posterior.arrays.items()}
-    truth: dict[str, Any] = {"color": COLOURS["target"], "label": "truth"}
     if (zones := posterior.unknown.zones) is not None:
         ends = np.abs(np.stack([line["lower"], line["upper"]]) - line["mean"])
         style: dict[str, Any] = {"fmt": "o", "color": COLOURS["MPM"], "capsize": 3, "label": "most probable, 95 %"}
         panel.errorbar(along, line["mean"], yerr=ends, **style)
-        if "truth" in line:
-            panel.plot(along, line["truth"], "x", **truth)
         panel.set_xticks(along, [f"{number:g}" for number in zones.numbers])
-        panel.set(xlabel="zone", ylabel=label)
     else:
         panel.fill_between(along, line["lower"], line["upper"], alpha=0.3, color=COLOURS["MPM"], label="95 %")
         panel.plot(along, line["mean"], color=COLOURS["MPM"], label="most probable")
-        if "truth" in line:
-            panel.plot(along, line["truth"], **truth)
-        panel.set(xlabel=f"{posterior.unknown.axes[axis]} [m]", ylabel=label)
+    if "truth" in line:
+        panel.plot(along, line["truth"], "-" if zones is None else "x", color=COLOURS["target"], label="truth")
+    panel.set(xlabel=f"{posterior.unknown.axes[axis]} [m]" if zones is None else "zone", ylabel=label)
     panel.legend()
     return figure

@@ -88,9 +88,7 @@ class WhiteFlow:
 
     @cached_property
     def directions(self) -> Floats:
-        """Orthonormal directions of the white numbers, shape [V, W]: those along which a field varies by more than
-        `KEPT` of its largest variance along any, and each of the numbers.
-        """
+        """Orthonormal, shape [V, W]: along which a field varies by `KEPT` of its largest variance, and each number."""
         rows = list[Floats]()
         for unknown, part in zip(self.problem.fields, self.parts, strict=True):
             _, spread, basis = np.linalg.svd(unknown.prior.field(np.eye(unknown.prior.size)), full_matrices=False)
@@ -142,9 +140,7 @@ class WhiteFlow:
         return jacobian
 
     def pulled_back(self, by_nodes: Sequence[Floats], by_numbers: Floats, white: Floats) -> Floats:
-        """Derivatives with respect to the white numbers [W] from those with respect to the values of each field [K] and
-        to the numbers [U].
-        """
+        """Derivatives by the white numbers [W] from those by the values of each field [K] and by the numbers [U]."""
         adjoint = np.zeros(self.size)
         rows = zip(self.problem.fields, self.latents(white), self.parts, by_nodes, strict=True)
         for unknown, latent, part, nodes in rows:
@@ -154,9 +150,7 @@ class WhiteFlow:
         return adjoint
 
     def adjoints(self, tape: Tape, index: int, combinations: Floats) -> tuple[Floats, Floats]:
-        """Derivatives of the combinations [r, M] with respect to the observed positions, shape [r, T, N, D], and to the
-        volumes of the particles, shape [r, N].
-        """
+        """Derivatives of combinations [r, M] by observed positions [r, T, N, D] and by particles' volumes [r, N]."""
         positions = torch.from_numpy(tape.positions(index)).requires_grad_()
         rollout = Rollout(
             positions=positions,

@@ -148,14 +148,7 @@ def checked(flow: WhiteFlow, target: Target, outcome: Found) -> Answer:
     spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.of_numbers] ** 2).sum(axis=1), 0.0))
     ends = [ndtr(posterior.mean[flow.of_numbers] + sign * BAND * spread) for sign in (1.0, -1.0)]
     checks = tuple(
-        MpmRun(
-            purpose=Purpose.CHECK,
-            parameters=values,
-            point=problem.box.shares(values),
-            numbers=target.observation.observe(run),
-            trajectory=run,
-            file=f"check{number or ''}.npz",
-        )
+        MpmRun.of(run, values, problem, target, purpose=Purpose.CHECK, file=f"check{number or ''}.npz")
         for number, run in enumerate(flow.simulated([posterior.mean] * len(seeds), seeds))
     )
     numbers = np.stack([run.numbers for run in checks])

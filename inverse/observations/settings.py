@@ -68,7 +68,7 @@ class ObservationSettings(Record):
     @property
     def sources(self) -> list[str]:
         """Keys under which its numbers may stand."""
-        return [key for key in SOURCES if key in {field.name for field in fields(self)}]
+        return [key for key in SOURCES if hasattr(self, key)]
 
     @property
     def given(self) -> dict[str, Any]:

@@ -48,10 +48,8 @@ FLOWS: dict[int | str, Scene] = {
         **PLANE,
     ),
 }
-W, M = 30, 7
-"""White numbers and observed ones of `LinearFlow`."""
-WIDE = {"deg": 8.0, "Pa": 50.0, "m/s": 0.5, "m": 0.005, "-": 0.08}
-"""Half of the range between a parameter's bounds, by its unit."""
+W, M = 30, 7  # white numbers and observed ones of `LinearFlow`
+WIDE = {"deg": 8.0, "Pa": 50.0, "m/s": 0.5, "m": 0.005, "-": 0.08}  # half of a range between bounds, by its unit
 
 
 class LinearFlow:
@@ -72,21 +70,12 @@ class LinearFlow:
 def simulator_of(dimension: int) -> Simulator:
     """A model that takes milliseconds and whose output matters, in double precision; its units are not a flow's."""
     torch.manual_seed(0)
-    cell = 0.01 if dimension == 2 else 0.03125
-    settings = ModelSettings(
-        dimension=dimension,
-        cell=cell,
-        particles_per_cell=1 if dimension == 2 else 2,
-        radius=2.5 * cell,
-        grid_cell=2.0 * cell,
-        body_length=0.1 if dimension == 2 else 0.25,
-        width=16,
-        layers=2,
-        rounds=1,
-        grid_channels=8,
-        grid_layers=2,
-        rest_speed=0.01,
-    )
+    flat = dimension == 2
+    cell = 0.01 if flat else 0.03125
+    lengths = {"cell": cell, "radius": 2.5 * cell, "grid_cell": 2.0 * cell, "body_length": 0.1 if flat else 0.25}
+    network = {"width": 16, "layers": 2, "rounds": 1, "grid_channels": 8, "grid_layers": 2}
+    count = 1 if flat else 2
+    settings = ModelSettings(dimension=dimension, particles_per_cell=count, rest_speed=0.01, **lengths, **network)
     scales = Normalisation(displacement_scale=0.005, acceleration_scale=0.001, friction_mean=0.6, friction_std=0.2)
     made = Simulator(settings, scales)
     with torch.no_grad():

@@ -86,8 +86,9 @@ def test_what_no_gauge_can_be_is_refused() -> None:
     refused(gauge.operator(scene).observe, bare, said="recorded the pore pressure")
 
 
-def draining(**target: Any) -> Problem:
+def draining() -> Problem:
     """How permeable a layer is and how fluid it begins, by two gauges."""
+    truth = {"permeability": 5.0e-4, "masses[0].initial_pore_pressure_ratio": 0.8}
     return Problem(
         name="draining",
         scene=layer(0.5),
@@ -96,14 +97,13 @@ def draining(**target: Any) -> Problem:
             Parameter(name="masses[0].initial_pore_pressure_ratio", initial=0.7, lower=0.6, upper=0.86),
         ),
         observations=(PorePressureSettings(noise=20.0, **GAUGES),),
-        target=TargetSettings(
-            twin=True, seed=5, truth={"permeability": 5.0e-4, "masses[0].initial_pore_pressure_ratio": 0.8}, **target
-        ),
+        target=TargetSettings(twin=True, seed=5, truth=truth),
         surrogate=Surrogate.NONE,
     )
 
 
-def check(problem: Problem, **options: Any) -> None:
+def check(**options: Any) -> None:
+    problem = draining()
     result = solve(problem, **options)
     for name, true in problem.target.truth.items():
         low, high = result.interval[name]
@@ -120,13 +120,13 @@ def test_gauges_tell_permeability_and_initial_pressure() -> None:
         asked.append(record)
         return [drained(scene) for scene in scenes]
 
-    check(draining(), simulate=known)
+    check(simulate=known)
     assert {recording.pore_pressure for recording in asked} == {True}
 
 
 @pytest.mark.slow
 def test_gauges_tell_permeability_and_initial_pressure_by_the_mpm() -> None:
-    check(draining())
+    check()
 
 
 @pytest.mark.slow

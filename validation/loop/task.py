@@ -68,15 +68,8 @@ class Task:
 
     def run(self, location: Vector, flow: Trajectory, file: str = "", purpose: Purpose = Purpose.KNOWN) -> MpmRun:
         """A flow with the parameters `location` [U], compared with the target; file: where it is stored."""
-        return MpmRun(
-            purpose=purpose,
-            parameters=location,
-            point=self.problem.box.shares(location),
-            numbers=self.target.observation.observe(self.problem.clocked(flow, location)),
-            trajectory=flow,
-            seconds=float(flow.summary.get(SHARE, 0.0)) if file else 0.0,
-            file=file,
-        )
+        seconds = float(flow.summary.get(SHARE, 0.0)) if file else 0.0
+        return MpmRun.of(flow, location, self.problem, self.target, purpose=purpose, seconds=seconds, file=file)
 
     def on_cells(self, scene: Scene, factor: float) -> Scene:
         """`scene` on cells so many times as large. Raises InputError where particles are compared or none fit."""
