@@ -21,15 +21,12 @@ from typing import Any
 from datasets.errors import InputError, naming, shortened
 from datasets.memory import spoken
 
-PART = ".part-"
-"""What the names of files begin with that are still being written."""
-LONGEST_LINE = 200
-"""Characters of a library's message that are passed on."""
+PART = ".part-"  # what the names of files begin with that are still being written
+LONGEST_LINE = 200  # characters of a library's message that are passed on
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 """What text begins with that says how it is encoded."""
 NEW_LINE = b"\n"
-LARGEST, LARGEST_TEXT = 2**30, 2**28
-"""Bytes of a raster or a mesh, and of a file of text."""
+LARGEST, LARGEST_TEXT = 2**30, 2**28  # bytes of a raster or a mesh, and of a file of text
 FARTHEST = 1.0e12
 """Numbers beyond this are no length, time, velocity or volume of anything that flows; their squares are finite."""
 

@@ -23,10 +23,8 @@ from datasets.scene.grid_field import Floats
 
 TABLE, PLOT = "forces.csv", "forces.png"
 AXES = ("x", "y", "z")
-ROUNDING = 1.0e-9
-"""Relative difference up to which two times are the same."""
-MOST_PANELS = 6
-"""Solids in one plot; of more, those with the largest peaks are drawn."""
+ROUNDING = 1.0e-9  # relative difference up to which two times are the same
+MOST_PANELS = 6  # solids in one plot; of more, those with the largest peaks are drawn
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,10 +20,8 @@ from datasets.errors import WorkFailed
 from datasets.files import make_folder, remove_parts, write_text
 
 LOCK = ".talus-lock"
-HOLDER = ".talus-lock.txt"
-"""Files in a folder while a process writes into it."""
-NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EINVAL}
-"""Errors of file systems that have no locks."""
+HOLDER = ".talus-lock.txt"  # files in a folder while a process writes into it
+NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EINVAL}  # errors of file systems that have no locks
 
 
 @contextmanager

@@ -50,20 +50,13 @@ KINDS = {
     "arrival": ("time of arrival", "s", "viridis"),
 }
 """Attributes of `PlanMaps`, and the names of their files: what they show, its unit, colours of matplotlib."""
-BETWEEN = 8
-"""Most moments that are looked at from one frame to the next: as many as fast particles cross cells."""
-FAST = 0.99
-"""Quantile of the particles' displacements that counts as fast: a single grain does not decide."""
-COLOURS = 9
-"""Of a map in QGIS."""
-OUTSIDE = 1.0e-6
-"""Share of the box by which rounding may put a particle beyond a wall."""
-CLOSE = 1.0e-6
-"""How far beyond its edge a map falls to 0 [cells]."""
-WIDTH, HIGHEST = 9.0, 9.0
-"""Of a picture [inches]."""
-CONTOURS = 12
-"""About as many contour lines of the ground."""
+BETWEEN = 8  # most moments that are looked at from one frame to the next: as many as fast particles cross cells
+FAST = 0.99  # quantile of the particles' displacements that counts as fast: a single grain does not decide
+COLOURS = 9  # of a map in QGIS
+OUTSIDE = 1.0e-6  # share of the box by which rounding may put a particle beyond a wall
+CLOSE = 1.0e-6  # how far beyond its edge a map falls to 0 [cells]
+WIDTH, HIGHEST = 9.0, 9.0  # of a picture [inches]
+CONTOURS = 12  # about as many contour lines of the ground
 
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int64]

@@ -10,10 +10,8 @@ import psutil
 
 from datasets.errors import InputError
 
-GROUP = Path("/sys/fs/cgroup")
-"""Of a container under Linux, whose limit may be below what the machine has."""
-USABLE = 0.9
-"""Part of the free memory that is given away."""
+GROUP = Path("/sys/fs/cgroup")  # of a container under Linux, whose limit may be below what the machine has
+USABLE = 0.9  # part of the free memory that is given away
 TRIM_EVERY = 16
 """Calls between two trims of `trimming`: more often they take time, more rarely they leave twice the memory."""
 

@@ -18,8 +18,7 @@ import psutil
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 REPEAT = 1.0
 """A signal more than this [s] after the first is a second one; before, it is the same, which torchrun hands on."""
-PR_SET_PDEATHSIG = 1
-"""Of Linux's prctl(2): the signal that a process gets when its parent ends."""
+PR_SET_PDEATHSIG = 1  # of Linux's prctl(2): the signal that a process gets when its parent ends
 
 
 class Terminated(KeyboardInterrupt):

@@ -38,24 +38,16 @@ if TYPE_CHECKING:
 
 REACH = 0.75
 """Slope of the energy line that bounds the box over the coefficient of friction: fronts run beyond a block's place."""
-HOLELESS = ".dem.tif"
-"""Ending of the raster with its holes filled, beside the scene."""
-THICKNESS = ("thickness", "d0")
-"""Attributes of a polygon that may say how thick it is [m]."""
+HOLELESS = ".dem.tif"  # ending of the raster with its holes filled, beside the scene
+THICKNESS = ("thickness", "d0")  # attributes of a polygon that may say how thick it is [m]
 PARTICLES, COLUMNS = 3.0e5, 1.0e7
 """Of the release, and of nodes in the box, at most about, where no cell is given: minutes on two processors."""
-ACROSS = 2.0
-"""Cells over the thickness of the release, where the box allows it."""
-AROUND = 4
-"""Cells of ground around what is reached."""
-OVERLAP = 1.0e-3
-"""Share of the area of a release that two polygons have in common, from which on it is said."""
-WITHIN = 0.5 - 1.0e-6
-"""Half a cell of the raster, less what rounding adds to a polygon along its edge."""
-TRAVEL = 4.0
-"""Simulated time over that in which the largest speed reaches the end of the box."""
-FRAMES = 100
-"""At least so many."""
+ACROSS = 2.0  # cells over the thickness of the release, where the box allows it
+AROUND = 4  # cells of ground around what is reached
+OVERLAP = 1.0e-3  # share of the area of a release that two polygons have in common, from which on it is said
+WITHIN = 0.5 - 1.0e-6  # half a cell of the raster, less what rounding adds to a polygon along its edge
+TRAVEL = 4.0  # simulated time over that in which the largest speed reaches the end of the box
+FRAMES = 100  # at least so many
 
 
 def site(

@@ -20,16 +20,12 @@ from datasets.schema import Bounds, Record, dotted, from_mapping
 Key = tuple[int | str, ...]
 Draws = dict[str, Any]
 
-LARGEST, LEAST_STEP = 1.0e15, 1.0e-15
-"""Of a number of a distribution; of a step over the range."""
-MOST_COPIES = 4096
-"""Of a mass or a baffle."""
+LARGEST, LEAST_STEP = 1.0e15, 1.0e-15  # of a number of a distribution; of a step over the range
+MOST_COPIES = 4096  # of a mass or a baffle
 TRIES = 1000
 """Draws of a scene before the definition is refused: the chance of a valid one is then below one in a hundred."""
-MANY = 20
-"""Bodies and solids of a scene above which the draws are fewer in proportion: each takes its time."""
-MOST_SCENES = 1_000_000
-"""Of a dataset."""
+MANY = 20  # bodies and solids of a scene above which the draws are fewer in proportion: each takes its time
+MOST_SCENES = 1_000_000  # of a dataset
 NAME = re.compile(r"[A-Za-z][\w-]{0,60}", re.ASCII)
 PAIRS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
     "uniform": ("two numbers, the smaller first", lambda low, high: low <= high),

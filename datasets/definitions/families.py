@@ -49,18 +49,12 @@ from datasets.geometry.ground import elevation, plan_axes
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.scene.material import Material
 
-TRIES = 200
-"""Draws of a scene that is valid and not held out, and of a baffle that stands apart, before it is an error."""
-CUTOFF_SHARE = 0.5
-"""Tension cutoff over cohesion, as in the paper."""
-AIR = 0.16
-"""Least distance of the top of the box from the material [m]."""
-GRID = 0.1
-"""Distance between the elevations of a terrain [m]."""
-WIDEST = 1.2
-"""Extent of a body across the flow, at most [m]."""
-SANDS = ("friction_deg", "cohesion")
-"""Keys in which layers may differ."""
+TRIES = 200  # draws of a scene that is valid and not held out, and of a baffle that stands apart, before it is an error
+CUTOFF_SHARE = 0.5  # tension cutoff over cohesion, as in the paper
+AIR = 0.16  # least distance of the top of the box from the material [m]
+GRID = 0.1  # distance between the elevations of a terrain [m]
+WIDEST = 1.2  # extent of a body across the flow, at most [m]
+SANDS = ("friction_deg", "cohesion")  # keys in which layers may differ
 Numbers = Mapping[str, Any]
 ABSENT: Numbers = {
     **dict.fromkeys(("left", "place", "aside", "width", "least_side"), 0.0),

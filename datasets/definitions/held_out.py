@@ -19,14 +19,11 @@ from datasets.scene import Baffle, Mass, Scene
 from datasets.scene.library import SCENES, read_scene
 from datasets.scene.particles import released_volume
 
-MARGIN = 0.06
-"""Distance of corners within which two scenes are neighbours, over the length of the body [-]."""
-GAPS = 0.06
-"""Share of a box that masses may leave empty to count as one [-]."""
+MARGIN = 0.06  # distance of corners within which two scenes are neighbours, over the length of the body [-]
+GAPS = 0.06  # share of a box that masses may leave empty to count as one [-]
 ASPECTS = (0.5, 0.8, 1.0, 2.0, 3.0)
 """Height over length of columns at a wall that are kept for tests of generalisation, beside the scenes that ship."""
-ASPECT_MARGIN = 0.04
-"""Relative distance from these within which a column at a wall is their neighbour [-]."""
+ASPECT_MARGIN = 0.04  # relative distance from these within which a column at a wall is their neighbour [-]
 
 
 def is_held_out(scene: Scene) -> bool:

@@ -30,8 +30,7 @@ from datasets.schema import Record, from_mapping
 
 STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
 """Keys of `metadata.json` that theirs shares with ours."""
-CLOSE = 1.0e-6
-"""Relative difference of two boxes that is rounding."""
+CLOSE = 1.0e-6  # relative difference of two boxes that is rounding
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,20 +24,17 @@ from datasets.geometry.shells import manifold, sliced
 from datasets.geometry.surface import closed_body, solids_of
 from datasets.scene import Scene
 
-ALL = "gns_data"
-"""The key that holds all trajectories where it exists."""
+ALL = "gns_data"  # the key that holds all trajectories where it exists
 WHAT = "positions, particle types and perhaps a material property"
 FARTHEST = 1.0e6
 """Positions [m] beyond this mean a broken file; single precision would tell them no better than to 6 cm."""
-STEEPEST = 1.0e3
-"""A tan(phi) beyond this is none."""
+STEEPEST = 1.0e3  # a tan(phi) beyond this is none
 Sand = tuple[NDArray[np.floating], NDArray[Any] | None]
 """Positions [m], shape [T, N, D], and tan(phi), shape [N], or None where the file does not say."""
 ARRAYS = "numpy._core.multiarray"
 NAMES = {"numpy.dtype", "numpy.ndarray", f"{ARRAYS}._reconstruct", f"{ARRAYS}.scalar", "_codecs.encode"}
 """What pickled arrays of numbers, and of objects that are such arrays, call."""
-EARLIEST = (1980, 1, 1, 0, 0, 0)
-"""The date of every member: the same trajectories give the same bytes."""
+EARLIEST = (1980, 1, 1, 0, 0, 0)  # the date of every member: the same trajectories give the same bytes
 
 
 class ParticleType(IntEnum):

@@ -18,13 +18,10 @@ from datasets.geometry.shapes import usual
 from datasets.scene.grid_field import Floats
 
 Entry = dict[str, Any]
-Ends = Sequence[tuple[float, float]]
-"""First and last post of the terrain along x and z [m]."""
+Ends = Sequence[tuple[float, float]]  # first and last post of the terrain along x and z [m]
 
-ROUNDING = 1.0e-6
-"""Part of a metre or of two cells that counts as none."""
-BENEATH, AIR = 4, 10
-"""Cells of ground beneath the lowest one of a box; of air over the highest."""
+ROUNDING = 1.0e-6  # part of a metre or of two cells that counts as none
+BENEATH, AIR = 4, 10  # cells of ground beneath the lowest one of a box; of air over the highest
 
 
 def whole_cells(lower: Floats, upper: Floats, cell: float, ends: Ends, key: str) -> Entry:

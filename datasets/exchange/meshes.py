@@ -20,8 +20,7 @@ from datasets.scene import Scene
 
 MESHES = (".stl", ".obj", ".ply", ".off", ".msh", ".vtk", ".vtu")
 """Endings of meshes: those that hold all they need and name no other file."""
-IN_PROCESS = (".stl", ".obj")
-"""Those whose readers survive any file."""
+IN_PROCESS = (".stl", ".obj")  # those whose readers survive any file
 SAME = (1.0e-9, 1.0e-7, 1.0e-6, 1.0e-5)
 """Distances of vertices that are one, over the extent of the mesh: the first with which its surface is closed."""
 

@@ -30,18 +30,14 @@ from datasets.geometry.surface import closed_body, solids_of
 from datasets.scene import Scene
 from datasets.scene.material import Material
 
-FRAMES, PARTICLES = 60, 20_000
-"""At most so many of a flow are on a page, evenly."""
-NODES = 150
-"""Of the ground along the longest side of the box, at most."""
-ERROR = "error"
-"""What two flows of the same particles have besides: their distance."""
+FRAMES, PARTICLES = 60, 20_000  # at most so many of a flow are on a page, evenly
+NODES = 150  # of the ground along the longest side of the box, at most
+ERROR = "error"  # what two flows of the same particles have besides: their distance
 SHOWN: dict[str, ColourScale] = {key.value: scale for key, scale in SCALES.items()}
 SHOWN[ERROR] = ColourScale(title="distance between the two [m]", colours="magma")
 COLOURS = ("#1b6ca8", "#d9730d")
 """Of the first and of the second flow."""
-STOPS = 12
-"""Of a colour map."""
+STOPS = 12  # of a colour map
 PAGE = Path(__file__).with_suffix(".html")
 
 

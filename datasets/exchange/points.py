@@ -15,16 +15,13 @@ from datasets.exchange.vectors import projected
 from datasets.files import LONGEST_LINE, file_size, read_text, reading
 from datasets.scene.grid_field import Floats
 
-ENDINGS = (".csv", ".xyz", ".las", ".laz")
-"""Of the files that are read, in lower case."""
+ENDINGS = (".csv", ".xyz", ".las", ".laz")  # of the files that are read, in lower case
 NAMES = (("x", "y", "z"), ("easting", "northing", "elevation"))
 """Columns of a CSV: those of a surveyor, whose z points up."""
-PORTION = 2**20
-"""Points of a LAS that are read together."""
+PORTION = 2**20  # points of a LAS that are read together
 GROUND, NOISE = 2, (7, 18)
 """Classes of points (ASPRS, LAS 1.4 R15, tables 9 and 17): the ground, and points that are none."""
-WKT, GEO_KEYS = 2112, 34735
-"""Records of a LAS that name a reference system: in WKT, or in keys of GeoTIFF."""
+WKT, GEO_KEYS = 2112, 34735  # records of a LAS that name a reference system: in WKT, or in keys of GeoTIFF
 PROJECTED_SYSTEM, USER_DEFINED = 3072, 32767
 """GeoTIFF's key of the code of a projected reference system; its value where it has none."""
 

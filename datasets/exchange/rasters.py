@@ -21,12 +21,9 @@ from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 from datasets.scene.grid_field import Floats
 
-VALUE = 32
-"""Bytes that a value takes while a raster is read."""
-METRES = ("", "m", "metre", "metres", "meter", "meters")
-"""What a raster may call the unit of its values."""
-UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)
-"""Values that stand for no data by custom, as they are in the file."""
+VALUE = 32  # bytes that a value takes while a raster is read
+METRES = ("", "m", "metre", "metres", "meter", "meters")  # what a raster may call the unit of its values
+UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)  # values that stand for no data by custom, as they are in the file
 CLIFF, STEEP = 500.0, 10.0
 """Height of a step [m], and over the cell, beyond which values without any between are no ground: -999, 9999, 0."""
 OTHERS: dict[str | bytes, str] = {".img": "HFA", ".bil": "EHdr", ".flt": "EHdr", ".vrt": "VRT"}
@@ -46,16 +43,12 @@ LOCAL = ("LOCAL_CS", "ENGCRS")
 """How reference systems in WKT begin that lie nowhere on the earth, as GDAL names that of a raster without any."""
 HEIGHTS = re.compile(r'VERT_CS\[.*UNIT\["([^"]+)",([^\],]+)')
 """The unit of the heights of a reference system in WKT, and what one is in metres."""
-NO_ELEVATION = 2.0e4
-"""Elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38."""
-LONGEST_WORD = 40
-"""Characters of a word that are shown."""
-LENGTH, EARTH = 100.0, 6.371e6
-"""Of the map over which its scale is looked at; radius of the earth [m]."""
+NO_ELEVATION = 2.0e4  # elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38
+LONGEST_WORD = 40  # characters of a word that are shown
+LENGTH, EARTH = 100.0, 6.371e6  # of the map over which its scale is looked at; radius of the earth [m]
 DISTORTED = 0.02
 """What a metre of the map may differ from one on the ground; the earth's flattening makes up 0.5 % of it."""
-SAME_PLACE = 1.0
-"""How far two reference systems may be apart that are one for a flow [m]."""
+SAME_PLACE = 1.0  # how far two reference systems may be apart that are one for a flow [m]
 
 
 class Raster(NamedTuple):

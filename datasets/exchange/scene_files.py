@@ -21,12 +21,9 @@ from datasets.schema import from_mapping
 
 Entry = dict[str, Any]
 
-BED = ("friction", "turbulence")
-"""Keys of a terrain in 3D that may name rasters."""
-NEARLY = 1.0e-6
-"""Part of a raster's cell that counts as none."""
-WATER = "water table"
-"""What the reader calls `water`, a table without a kind."""
+BED = ("friction", "turbulence")  # keys of a terrain in 3D that may name rasters
+NEARLY = 1.0e-6  # part of a raster's cell that counts as none
+WATER = "water table"  # what the reader calls `water`, a table without a kind
 FILES = {"terrain": "file", "layer": "thickness", "mesh": "file", INFLOW: "file", WATER: "table"}
 """The key that names the file of a kind."""
 

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from datasets.errors import InputError, require
 from datasets.files import FARTHEST, LONGEST_LINE, read_text, reading
 
-SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-"""Between the columns: those that a header may have."""
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}  # between the columns: those that a header may have
 UNITS = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254},
     "time": {"s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0},
@@ -33,8 +32,7 @@ UNITS = {
 """Of each quantity: its units, and what one is in SI."""
 NAMED = re.compile(r"(?P<name>[^\[(]*?)\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\))?\s*")
 """A column's header: its name, and perhaps its unit in brackets."""
-CONTROL = dict.fromkeys((*range(32), 127), "?")
-"""Characters that a terminal does not show: of a file that is no text."""
+CONTROL = dict.fromkeys((*range(32), 127), "?")  # characters that a terminal does not show: of a file that is no text
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
 
 

@@ -15,8 +15,7 @@ from shapely import Polygon
 from datasets.errors import naming, require
 from datasets.files import file_size, reading
 
-LARGEST = 2**28
-"""Bytes of a file."""
+LARGEST = 2**28  # bytes of a file
 BEGINNINGS = {
     ".shp": rb"\x00\x00\x27\x0a",
     ".gpkg": rb"SQLite format 3\x00",
@@ -25,8 +24,7 @@ BEGINNINGS = {
     ".kml": rb"(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<kml",
 }
 """How files of these endings begin: GDAL goes by what is in them, and some formats name other files."""
-LAYER = "|layername="
-"""Between the name of a file and that of one of its layers, as QGIS has it."""
+LAYER = "|layername="  # between the name of a file and that of one of its layers, as QGIS has it
 MOST_DEGREES = 360.0
 """Coordinates beyond it are no degrees: GeoJSON without a reference system counts as degrees for GDAL."""
 

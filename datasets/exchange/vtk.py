@@ -28,8 +28,7 @@ UNITS = {"velocity": "m/s", "displacement": "m", "friction_deg": "deg", "impulse
 UNITS |= dict.fromkeys(("stress", "pressure", "pore_pressure"), "Pa")
 UNITS |= dict.fromkeys(("plastic_strain", "material", "solid", "friction"), "1")
 """Of the arrays; of impulse and force in 2D per metre of width."""
-MOVING = "particles"
-"""The part whose geometry changes."""
+MOVING = "particles"  # the part whose geometry changes
 ACTIVE = {MOVING: "velocity", "solids": "force"}
 """The vectors that ParaView takes for glyphs where none are chosen, of each part."""
 

@@ -19,12 +19,9 @@ if TYPE_CHECKING:
     import h5py
 
 HDF5 = ".h5"
-CHUNK = 2**16
-"""Bytes that a chunk of HDF5 holds at least."""
-PIECE = 2**20
-"""Bytes that are read at once for a check sum."""
-HEADERS = 2**17
-"""Bytes that the headers of a member of an NPZ take at most."""
+CHUNK = 2**16  # bytes that a chunk of HDF5 holds at least
+PIECE = 2**20  # bytes that are read at once for a check sum
+HEADERS = 2**17  # bytes that the headers of a member of an NPZ take at most
 DEFLATED: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 TEXTS = ("scene", "summary")
 WHAT = "a trajectory"

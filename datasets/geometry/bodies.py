@@ -28,8 +28,7 @@ from datasets.memory import require as require_memory
 from datasets.scene.parts import INFLOW, TOLERANCE, Domain, Mass, SceneLayout, Solid, keyed
 from datasets.schema import FARTHEST
 
-LATTICE = 40
-"""Bytes that a coordinate of a lattice takes while it is made."""
+LATTICE = 40  # bytes that a coordinate of a lattice takes while it is made
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -11,8 +11,7 @@ STEEPEST = 4.0
 """Slope, sideways over outwards, with which a face that ends on a side of the box is continued beyond it at most."""
 NEARLY = 2.0e4
 """Widest gap between solids that all but meet, over the distance at which they are one: a fiftieth of a cell."""
-POINTED = 10.0
-"""Length over such a gap from which on solids beside each other are so along an edge."""
+POINTED = 10.0  # length over such a gap from which on solids beside each other are so along an edge
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,8 +17,7 @@ from datasets.geometry.ground import ground_grid as grid_of
 from datasets.geometry.surface import Surface, body_of, boundary, near_box, solids_of, surface_in, without_slip
 from datasets.scene.parts import Domain, SceneLayout, Solid
 
-DOWNWARD = -0.5
-"""Upward component of the normal of faces that a solid stands on, where they lie in the ground."""
+DOWNWARD = -0.5  # upward component of the normal of faces that a solid stands on, where they lie in the ground
 PARTS = np.linspace(0.0, 1.0, 17).tolist()
 PLACES = np.array([[u, v, 1.0 - u - v] for u in PARTS for v in PARTS if u + v <= 1.0])
 """Weights of the corners at places all over a triangle."""

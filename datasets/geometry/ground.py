@@ -17,10 +17,8 @@ Integers = NDArray[np.int64]
 
 BEYOND = 8.0
 """Cells by which a solid that reaches a side of the box goes on beyond it, so that none of its faces lies there."""
-TOUCHING = 1.0e-9
-"""Distance [m] up to which lengths that a user wrote in decimals are the same."""
-CLOSING = 1.0e-6
-"""Half of the widest gap, in cells, that touching solids leave between them by rounding."""
+TOUCHING = 1.0e-9  # distance [m] up to which lengths that a user wrote in decimals are the same
+CLOSING = 1.0e-6  # half of the widest gap, in cells, that touching solids leave between them by rounding
 
 
 def plan_axes(dimension: int) -> list[int]:

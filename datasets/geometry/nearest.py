@@ -13,14 +13,10 @@ from scipy.spatial import cKDTree
 from datasets.geometry.ground import Floats, Integers
 from datasets.geometry.surface import Surface
 
-PAIRS = 1_000_000
-"""Pairs of a point and a face that are looked at together."""
-CLASSES = 2.0
-"""Factor in size between the classes of faces that are searched together."""
-ROUNDING = 1.0e-12
-"""Distance over the extent of the surface that is none."""
-INTERIOR = 1.0e-12
-"""Share of a face within which a foot lies on its rim."""
+PAIRS = 1_000_000  # pairs of a point and a face that are looked at together
+CLASSES = 2.0  # factor in size between the classes of faces that are searched together
+ROUNDING = 1.0e-12  # distance over the extent of the surface that is none
+INTERIOR = 1.0e-12  # share of a face within which a foot lies on its rim
 
 
 class Nearest(NamedTuple):

@@ -17,8 +17,7 @@ from datasets.geometry.shells import manifold
 from datasets.geometry.surface import Surface, closed_body, raster_body, solids_of, surface_in
 from datasets.scene.parts import INFLOW, TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
 
-SAMPLES = 32
-"""Most places along an axis at which the height of a body above ground is looked for."""
+SAMPLES = 32  # most places along an axis at which the height of a body above ground is looked for
 
 
 def check_overlaps(scene: SceneLayout) -> None:

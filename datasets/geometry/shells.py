@@ -14,12 +14,9 @@ from datasets.errors import InputError, require
 from datasets.geometry.closed import NEARLY, POINTED, Body, meet, outside_of_box, pseudonormals
 from datasets.geometry.ground import Floats, Integers
 
-SHARED = 1.0e-6
-"""Share of a volume that rounding may change."""
-FLAT = 1.0e-6
-"""What makes the place of a vertex between faces of one plane unique [-]."""
-NARROW = 100.0
-"""Width, over the distance by which bodies have grown, up to which what they share is no face."""
+SHARED = 1.0e-6  # share of a volume that rounding may change
+FLAT = 1.0e-6  # what makes the place of a vertex between faces of one plane unique [-]
+NARROW = 100.0  # width, over the distance by which bodies have grown, up to which what they share is no face
 MOST_TRIANGLES = 20_000
 """Of two bodies that are looked at, such as boxes and meshes, not terrain: a boolean of more takes seconds."""
 

@@ -21,8 +21,7 @@ from datasets.geometry.rings import check_simple, cut_ring, lengthened_ring, uni
 from datasets.geometry.shells import cut_surface, lengthened_surface, outward, union_of_surfaces
 from datasets.scene.parts import ROUGH, Domain, SceneLayout, Solid, coefficient, keyed
 
-KEPT = 3.0
-"""Cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)."""
+KEPT = 3.0  # cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)
 CORNERS = {
     2: np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]),
     3: np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64),
@@ -33,8 +32,7 @@ SIDES = [
     *([0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]),  # y = 0, y = 1
     *([0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),  # z = 0, z = 1
 ]
-FACES = {2: ring(4), 3: np.array(SIDES)}
-"""Their faces, outwards."""
+FACES = {2: ring(4), 3: np.array(SIDES)}  # their faces, outwards
 
 
 @dataclass(frozen=True, eq=False)

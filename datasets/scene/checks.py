@@ -16,28 +16,20 @@ from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, S
 from datasets.scene.water import saturated
 from datasets.schema import FARTHEST
 
-MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28
-"""Of the box: what 32 bits count."""
+MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28  # of the box: what 32 bits count
 MOST_PARTICLES = 2**30
 MOST_FRAMES = 10_000_000
-MOST_BODIES = 4096
-"""Masses, baffles and solids: each pair of them is compared."""
+MOST_BODIES = 4096  # masses, baffles and solids: each pair of them is compared
 TALL, STEEPEST = 2.0, 10.0
 """Thickness of a layer over its length, and Coulomb coefficient, that look like another unit's."""
-ROUGHEST = 20.0
-"""Turbulent coefficient [m/s^2] below which no published one lies (Voellmy's xi: 100 to 8000 m/s^2)."""
-LOST = 1.0e-6
-"""Share of a layer that rounding may put beyond a side of the box."""
-SMALL_ANGLE = 3.0
-"""Angle of friction [deg] below which no sand is: one in radians is."""
-SLACK = 1.0e-3
-"""Relative, of a limit that a user wrote in decimals."""
-LIGHT, WATER = 30.0, 1000.0
-"""Density [kg/m^3] below which no soil and no snow is; that of water."""
+ROUGHEST = 20.0  # turbulent coefficient [m/s^2] below which no published one lies (Voellmy's xi: 100 to 8000 m/s^2)
+LOST = 1.0e-6  # share of a layer that rounding may put beyond a side of the box
+SMALL_ANGLE = 3.0  # angle of friction [deg] below which no sand is: one in radians is
+SLACK = 1.0e-3  # relative, of a limit that a user wrote in decimals
+LIGHT, WATER = 30.0, 1000.0  # density [kg/m^3] below which no soil and no snow is; that of water
 FASTEST, YEAR = 10.0, 365.25 * 86400.0
 """Coefficient of consolidation [m^2/s] above which no soil's is; seconds of a year."""
-WEAKEST = 5.0e-4
-"""Cohesion over the pressure rho g h under a body below which it looks like one in kPa."""
+WEAKEST = 5.0e-4  # cohesion over the pressure rho g h under a body below which it looks like one in kPa
 SOFTEST = 10.0
 """Young's modulus over the pressure rho g h under a body, below which it sinks by a twentieth of its height or more."""
 
