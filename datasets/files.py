@@ -33,11 +33,8 @@ FARTHEST = 1.0e12
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` to write to; it becomes `path` if the block succeeds, else it goes.
-
-    An OSError, such as that of a full disk, names `path`. Raises InputError where a folder has its name, or a file that
-    of its folder.
-    """
+    """Yield a temporary path beside `path` to write to; it becomes `path` if the block succeeds, else it goes. An
+    OSError names `path`. Raises InputError where a folder has its name, or a file that of its folder."""
     part = path
     if path.is_dir():
         raise InputError("expected the name of a file to write, got a folder", where=str(path))
@@ -84,10 +81,7 @@ def remove_parts(folder: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make the folder `path`, in which a command leaves its results: before its work, which would be lost.
-
-    Raises InputError.
-    """
+    """Make the folder of a command's results before its work, which would be lost. Raises InputError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         if not os.access(path, os.W_OK | os.X_OK):
@@ -125,10 +119,8 @@ def finite(value: Any) -> Any:
 
 
 def file_size(path: Path, what: str, *, most: int | None = None) -> int:
-    """The size of a file [bytes]. Raises InputError where there is none, or something else, or one beyond `most`.
-
-    what: such as `a trajectory (NPZ)`. A device or a pipe would never end.
-    """
+    """The size of a file [bytes]; what: such as `a trajectory (NPZ)`. Raises InputError where there is none, for one
+    beyond `most`, and for a device or a pipe, which would never end."""
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -146,9 +138,7 @@ def file_size(path: Path, what: str, *, most: int | None = None) -> int:
 @contextmanager
 def reading(path: Path, what: str, key: str = "") -> Iterator[None]:
     """Whatever a library makes of a broken or hostile file in the block, as one InputError that names file and key.
-
-    Keep the block to the library's own work, so that no mistake of ours hides in it.
-    """
+    Keep the block to the library's own work, so that no mistake of ours hides in it."""
     with naming(path, key):
         try:
             yield
@@ -170,10 +160,8 @@ def decoded(raw: bytes, errors: str = "strict") -> str:
 
 
 def read_text(path: Path, what: str, *, windows: bool = False) -> str:
-    """The text of a file (`decoded`), its lines ended by a line feed. Raises InputError.
-
-    windows: whether bytes that are no UTF-8 are letters of Windows-1252, in which spreadsheets of Western Europe write.
-    """
+    """The text of a file (`decoded`), its lines ended by a line feed. Raises InputError. windows: whether bytes that
+    are no UTF-8 are letters of Windows-1252, in which spreadsheets of Western Europe write."""
     file_size(path, what, most=LARGEST_TEXT)
     with reading(path, f"{what} that can be read"):
         raw = path.read_bytes()

@@ -63,11 +63,8 @@ class Forces:
 
 
 def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
-    """The force on every solid whose impulse `trajectory` recorded, floor and walls of the box included.
-
-    window: [s] over which forces are averaged besides the interval between two frames; 0 for none.
-    Raises InputError where no impulse was recorded, or for a window that is negative or longer than twice the run.
-    """
+    """The force on every solid whose impulse was recorded, floor and walls of the box included, averaged over `window`
+    [s] besides. Raises InputError where none was, or for a window beyond 0 to twice the run."""
     scene, time, recorded = trajectory.scene, trajectory.time, dict[str, Floats]()
     if trajectory.solid_impulse is not None:
         recorded |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))

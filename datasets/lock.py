@@ -26,10 +26,8 @@ NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EINVAL}  # errors of file systems
 
 @contextmanager
 def locked(folder: Path) -> Iterator[Path]:
-    """Hold `folder`, made if need be, for this process; parts of files that a killed one left go first and last.
-
-    Raises WorkFailed, which says who, where another process holds it, and InputError as `make_folder`.
-    """
+    """Hold `folder`, made if need be, for this process; parts of files that a killed one left go first and last. Raises
+    WorkFailed, which says who, where another process holds it, and InputError as `make_folder`."""
     make_folder(folder)
     lock = FileLock(folder / LOCK)
     try:

@@ -155,9 +155,7 @@ def plan_sums(
     fields: FlowFields, limits: Floats, cell: float, sums: Floats, progress: bool
 ) -> Iterator[tuple[float, Integers, bool]]:
     """Times [s], the cells that have something then, and whether velocities are known; `sums` as of `add_to_plan`.
-
-    The times are those of the frames and, where the flow crosses cells from one to the next, times between.
-    """
+    Times are those of the frames and, where the flow crosses cells from one to the next, between."""
     # Compiled: who asks for help does not wait for the compiler.
     from datasets.flow.plan import add_to_plan
 
@@ -197,9 +195,7 @@ def least_thickness(mass: Mass) -> float:
 
 def ground(scene: Scene, grid: Grid) -> Floats:
     """Elevation of the highest solid at the place of each cell [m], the floor's, 0, where there is none; as the maps.
-
-    Of cells that go beyond the box that at the nearest place in it.
-    """
+    Of cells that go beyond the box that at the nearest place in it."""
     plan = np.minimum(grid.positions, scene.domain.size[::2])
     if not scene.baffles and all(solid.kind == "terrain" for solid in scene.solids):
         return elevation(scene.solids, scene.domain, plan).reshape(grid.nodes)
@@ -216,11 +212,8 @@ def map_corner(scene: Scene) -> tuple[tuple[float, ...], str | None]:
 
 
 def region_above(grid: Grid, values: Floats, threshold: float, corner: Sequence[float] = (0.0, 0.0)) -> MultiPolygon:
-    """Where `values` [X, Z] at the middles of cells exceed a threshold: polygons with holes, `corner` [m] added.
-
-    The line runs where the map, linear between the middles of its cells and even in the outer half of the last, equals
-    the threshold, and along the edge of the map. Outer rings run anticlockwise, holes clockwise.
-    """
+    """Polygons with holes where `values` [X, Z], linear between the middles of cells and even in the outer half of the
+    last, exceed a threshold; `corner` [m] added. Outer rings run anticlockwise, holes clockwise."""
     from contourpy import FillType, contour_generator
 
     padded = np.pad(np.pad(values, 1, mode="edge"), 1)
@@ -234,11 +227,8 @@ def region_above(grid: Grid, values: Floats, threshold: float, corner: Sequence[
 
 
 def write_outlines(path: Path, maps: PlanMaps, outlines: dict[tuple[str, float], MultiPolygon]) -> None:
-    """Write the outlines of `maps`, by name and threshold [m], as GeoJSON: a MultiPolygon each.
-
-    Its properties are `name`, `threshold_m` and `area_m2`. Coordinates are those of the rasters, whose reference system
-    is named; local ones name none.
-    """
+    """Write the outlines of `maps`, by name and threshold [m], as GeoJSON: a MultiPolygon each, with the properties
+    `name`, `threshold_m` and `area_m2`, in the rasters' reference system."""
     import pyogrio
 
     names, thresholds = zip(*outlines, strict=True)
@@ -292,10 +282,8 @@ def draw_maps(path: Path, maps: PlanMaps) -> None:
 
 
 def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequence[float] = ()) -> dict[str, Any]:
-    """Write the maps of a trajectory into `folder`, and maps.json, what they come to, which is returned.
-
-    thresholds: [m], of outlines beside that of the maps. Raises WorkFailed.
-    """
+    """Write the maps of a trajectory into `folder`, and maps.json, what they come to, which is returned. thresholds:
+    [m], of outlines beside that of the maps. Raises WorkFailed."""
     from datasets.exchange.rasters import write_raster
 
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}

@@ -32,9 +32,7 @@ FARTHEST = 1.0e9
 @dataclass(frozen=True)
 class Bounds:
     """What a number, or each of a vector, may be, in words and as pydantic names it; stands beside the type of a key.
-
-    jitter: Annotated[float, Bounds("a fraction in [0, 1]", ge=0.0, le=1.0)] = 0.8
-    """
+    jitter: Annotated[float, Bounds("a fraction in [0, 1]", ge=0.0, le=1.0)] = 0.8"""
 
     expected: str
     gt: float = -math.inf
@@ -112,10 +110,8 @@ def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Record:
-    """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan.
-
-    One that Python makes takes numbers and arrays of numpy too, and inf where no bounds forbid it.
-    """
+    """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan. One that
+    Python makes takes numbers and arrays of numpy too, and inf where no bounds forbid it."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -136,11 +132,8 @@ _adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 
 
 def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
-    """Build the dataclass `kind` from nested mappings; an integer may stand for a float.
-
-    Raises InputError with the path of the first wrong key, such as `masses[1].velocity`; OutOfRange where keys and
-    types are right.
-    """
+    """Build the dataclass `kind` from nested mappings; an integer may stand for a float. Raises InputError with the
+    path of the first wrong key, such as `masses[1].velocity`; OutOfRange where keys and types are right."""
     try:
         # JSON mode converts nothing either, but still takes an array for a tuple.
         text = json.dumps(data, default=str)

@@ -148,10 +148,8 @@ def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
 def layer(
     raster: "Raster", polygon: shapely.Polygon, thickness: "float | Raster", vertical: bool
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
-    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster whose cells it meets.
-
-    thickness: [m], a number, or a raster in whose cells the mass then has it.
-    """
+    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster whose cells it meets. thickness: [m], a
+    number, or a raster in whose cells the mass then has it."""
     box = polygon.bounds
     for axis, spacing, low, high in zip((raster.x, raster.z), raster.spacing, box[:2], box[2:], strict=True):
         within = axis[0] - 0.5 * spacing <= low and high <= axis[-1] + 0.5 * spacing
@@ -191,8 +189,7 @@ def beside(raster: "Raster", polygon: shapely.Polygon) -> tuple[slice, slice]:
 
 def steepness(raster: "Raster", x: Floats, z: Floats) -> Floats:
     """1 / cos(slope) at places x, z [m], shape [X, Z]: central differences at the posts, one-sided beside holes and at
-    the edge, linear between; in holes that of the nearest post.
-    """
+    the edge, linear between; in holes that of the nearest post."""
     from scipy.ndimage import map_coordinates
 
     slopes = [slope_along(raster.values, axis, spacing) for axis, spacing in enumerate(raster.spacing)]

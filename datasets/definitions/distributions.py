@@ -79,10 +79,8 @@ def definition_from_file(path: Path) -> Definition:
 
 
 def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Path) -> Scene:
-    """A scene that can be simulated: a draw whose parts overlap, leave the box or are out of range is drawn again.
-
-    Raises InputError, that of the last draw, where none of `TRIES` can be, fewer of a scene of more than `MANY` bodies.
-    """
+    """A scene that can be simulated: a draw that cannot be is drawn again, up to `TRIES` times, less often of more than
+    `MANY` bodies. Raises InputError, that of the last draw."""
     tries, bodies = 0, 0
     while bodies < TRIES * MANY:
         variables = {name: drawn(value, stream, {}, ("variables", name)) for name, value in content.variables.items()}

@@ -75,11 +75,8 @@ def matched(mine: Floats, theirs: Floats) -> bool:
 
 
 def images(scene: Scene) -> Iterator[tuple[list[Floats], NDArray[np.bool_]]]:
-    """A scene and its mirror images along x and, in 3D, z and both.
-
-    Of each the boxes of its masses and of its baffles [-], shapes [K, 2, D], over the length of the body and from the
-    lower corner of its masses on; and which sides of the box masses touch [H, 2].
-    """
+    """A scene and its mirror images along x and, in 3D, z and both: the boxes of masses and of baffles [-], [K, 2, D],
+    over the body's length and from its lower corner on; which sides the masses touch [H, 2]."""
     unit = released_volume(scene) ** (1.0 / scene.dimension)
     level, contact = plan_axes(scene.dimension), touches(scene)
     for flips in product((False, True), repeat=len(level)):

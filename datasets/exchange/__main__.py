@@ -46,10 +46,8 @@ class ForeignMetadata(Record):
 
 
 def export(dataset: Path, out: Path) -> None:
-    """Write the dataset in `dataset` to the folder `out` in their layout.
-
-    Raises InputError for trajectories that do not share box, frames and spacing, and where `out` holds anything.
-    """
+    """Write a dataset to the folder `out` in their layout. Raises InputError for trajectories that do not share box,
+    frames and spacing, and where `out` holds anything."""
     files = {split: trajectory_files(dataset / split.value) for split in Split}
     described = described_as_theirs(dataset, files)
     check_empty(out)
@@ -98,11 +96,8 @@ def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) ->
 
 
 def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
-    """Write the dataset in `source`, in their layout, to the folder `out`.
-
-    scene: of all trajectories; up: the axis, `y` or `z`, that points up. Raises InputError for what is no such dataset,
-    and where `out` holds anything.
-    """
+    """Write a dataset in their layout to the folder `out`; scene: of all trajectories; up: which axis is. Raises
+    InputError for what is no such dataset, and where `out` holds anything."""
     content = read_metadata(source / "metadata.json")
     check_empty(out)
     entries: list[Entry] = []
@@ -133,11 +128,8 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
 
 
 def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:
-    """The trajectory of their sand, in `scene`. Raises InputError where the scene's box is another one.
-
-    Each particle has the volume of its share of a lattice of the set's spacing; where the set names none, that is the
-    median distance to the nearest particle in the first frame.
-    """
+    """The trajectory of their sand, in `scene`; a particle has the volume of its share of a lattice of the set's
+    spacing, else of that in the first frame. Raises InputError where the scene's box is another one."""
     (positions, friction), bounds = sand, np.array(foreign.bounds)
     if up == "z":
         if positions.shape[2] != 3:

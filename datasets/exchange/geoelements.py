@@ -45,11 +45,8 @@ class ParticleType(IntEnum):
 
 
 def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
-    """Particles that stand for all that is solid in `scene`, about as far apart as the sand's [m], shape [N, D].
-
-    A lattice fills each baffle and solid, a finer one where that is thinner than the spacing of the sand. Two layers
-    follow the surface of terrain from below.
-    """
+    """Particles that stand for all that is solid in `scene`, about as far apart as the sand's [m], shape [N, D]: a
+    lattice in each baffle and solid, finer in thin ones; two layers along the terrain, from below."""
     spacing, size, planar = scene.particle_spacing, np.array(scene.domain.size), scene.dimension == 2
     parts = [np.empty((0, scene.dimension))]
     for solid, key in zip(*solids_of(scene), strict=True):
@@ -72,10 +69,7 @@ def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
 
 
 def write(path: Path, flows: Iterable[tuple[str, Trajectory]]) -> None:
-    """Write a split, one trajectory in memory at a time.
-
-    Sand and, after it, the particles that stand for baffles and solids.
-    """
+    """Write a split: of each trajectory the sand and, after it, the particles that stand for baffles and solids."""
     with replacing(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, flow in flows:
             sand, obstacles = np.asarray(flow.positions), obstacle_particles(flow.scene).astype(np.float32)
@@ -89,10 +83,8 @@ def write(path: Path, flows: Iterable[tuple[str, Trajectory]]) -> None:
 
 
 def read(path: Path) -> Iterator[tuple[str, Sand]]:
-    """The sand of the trajectories of a split by name; never executes a pickle.
-
-    One is in memory at a time unless they are one array. Raises InputError, which names the file and the trajectory.
-    """
+    """The sand of the trajectories of a split by name; never executes a pickle. One is in memory at a time unless they
+    are one array. Raises InputError, which names the file and the trajectory."""
     with open_npz(path, "a whole NPZ") as archive:
         whole = read_member(archive, ALL, WHAT, ArrayUnpickler) if ALL in keys(archive) else None
         names = keys(archive) if whole is None else [f"{index:05d}" for index in range(len(whole))]
@@ -105,12 +97,8 @@ def read(path: Path) -> Iterator[tuple[str, Sand]]:
 
 
 def checked(positions: Any, types: Any, material: Any) -> Sand:
-    """The sand in what a file holds of a trajectory.
-
-    Raises InputError for anything else than positions [T, N, D], one type per particle or for all, and at most one
-    material property, tan(phi), per particle, per particle of sand (their generator leaves the obstacles out), or for
-    all.
-    """
+    """The sand in what a file holds of a trajectory. Raises InputError. A material property, tan(phi), may be one for
+    all, for each particle, or for each of sand: their generator leaves the obstacles out."""
 
     def numbers(value: Any, what: str, kinds: str) -> NDArray[Any]:
         array = np.asarray(value)
@@ -143,9 +131,7 @@ def checked(positions: Any, types: Any, material: Any) -> Sand:
 
 class ArrayUnpickler(pickle.Unpickler):
     """The object arrays of other codes: five names of NumPy's are looked up and no others, so no other is called.
-
-    https://docs.python.org/3/library/pickle.html#restricting-globals
-    """
+    https://docs.python.org/3/library/pickle.html#restricting-globals"""
 
     def find_class(self, module: str, name: str) -> Any:
         """What a name stands for here. Raises InputError."""

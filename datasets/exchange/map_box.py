@@ -26,9 +26,7 @@ BENEATH, AIR = 4, 10  # cells of ground beneath the lowest one of a box; of air 
 
 def whole_cells(lower: Floats, upper: Floats, cell: float, ends: Ends, key: str) -> Entry:
     """`size`, `cell` and `origin` of a box between two corners [m], shape [3], that has no ground but the terrain's.
-
-    Raises InputError, which names `key`, where no cell fits.
-    """
+    Raises InputError, which names `key`, where no cell fits."""
     lower, upper = lower.copy(), upper.copy()
     for axis, (first, last) in zip((0, 2), ends, strict=True):
         lower[axis], upper[axis] = max(first, lower[axis]), min(last, upper[axis])
@@ -49,11 +47,8 @@ def unit_of(cell: float) -> float:
 
 
 def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
-    """`[domain]` with an origin and a size in plan around the shapes of a file; its heights are still any.
-
-    solids: of the scene, whose terrain may name a raster in `folder`, in whose reference system the box then is. Raises
-    InputError.
-    """
+    """`[domain]` with origin and size in plan around the shapes of a file, heights still any; in the system of the
+    raster of the terrain among `solids`. Raises InputError."""
     # Half a second, which other scenes do not wait.
     from datasets.exchange.rasters import known_system, raster_system
     from datasets.exchange.vectors import read_bounds
@@ -83,10 +78,8 @@ def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
 
 
 def with_elevations(domain: Entry, data: Entry) -> Entry:
-    """A `[domain]` by `plan_around` in whole cells, as far as the terrain goes and as high as what stands in it.
-
-    data: the scene, its terrain by heights. Raises InputError for a scene without terrain there.
-    """
+    """A `[domain]` by `plan_around` in whole cells, as far as the terrain of `data` goes and as high as what stands in
+    it. Raises InputError for a scene without terrain there."""
     lower, upper = (np.array(domain["origin"]) + step * np.array(domain["size"]) for step in (0.0, 1.0))
     low, high, ends = math.inf, -math.inf, [(-math.inf, math.inf)] * 2
     for grid in filter(None, map(posts_of, entries(data, "solids"))):

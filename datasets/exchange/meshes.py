@@ -26,10 +26,8 @@ SAME = (1.0e-9, 1.0e-7, 1.0e-6, 1.0e-5)
 
 
 def read_mesh(path: Path) -> tuple[Floats, Integers]:
-    """Vertices [V, 3] and triangles [T, 3] of the outer surface of a mesh, those at one place one vertex.
-
-    Vertices further apart are one where the surface is open without. Raises InputError, which names the file.
-    """
+    """Vertices [V, 3] and triangles [T, 3] of the outer surface of a mesh, those at one place one vertex. Vertices
+    further apart are one where the surface is open without. Raises InputError, which names the file."""
     file_size(path, "a mesh", most=LARGEST)
     if path.suffix.lower() not in MESHES:
         raise InputError(f"expected a mesh, a file that ends in {' '.join(MESHES)}", where=str(path))
@@ -60,11 +58,7 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
 
 def read_obj(path: Path) -> tuple[Floats, Integers]:
     """Vertices [V, 3] of a Wavefront OBJ, and its polygons end to end: how many corners each has, then these from 0.
-
-    Corners may name texture and normals, and count from the end.
-
-    Raises InputError for corners that are no vertices, ValueError for what is no number.
-    """
+    Raises InputError for corners that are no vertices, ValueError for what is no number."""
     text = decoded(path.read_bytes(), errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
     vertices, polygons = list[list[float]](), list[list[int]]()
     for line in text.splitlines():
@@ -97,11 +91,8 @@ def begin_reader() -> None:
 
 
 def write_surface(scene: Scene, path: Path) -> None:
-    """Write the surface of all baffles and solids of a scene in 3D as a mesh: STL, OBJ, PLY, OFF, MSH, VTK or VTU.
-
-    Its coordinates count from the box's lower corner: most of these formats hold single precision. Raises InputError
-    for a scene in 2D or without solids, and for another ending.
-    """
+    """Write the surface of all baffles and solids of a scene in 3D as a mesh, from the box's lower corner on: most
+    formats hold single precision. Raises InputError without solids, in 2D, and for another ending."""
     import meshio
 
     surface = surface_of(scene)

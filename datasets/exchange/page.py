@@ -111,10 +111,7 @@ def write_view(
     labels: Sequence[str] = ("A", "B"),
     observed: Observed | None = None,
 ) -> None:
-    """Write the page of a flow, or of two over each other at the times of the first.
-
-    Raises InputError where one is in 2D and the other in 3D.
-    """
+    """Write the page of a flow, or of two at the times of the first. Raises InputError for one in 2D and one in 3D."""
     flows = (flow,) if other is None else (flow, other)
     dimension = flow.scene.dimension
     for run in flows[1:]:
@@ -219,10 +216,8 @@ def coloured(key: str, top: float, materials: Sequence[Material]) -> dict[str, A
 
 
 def still(scenes: Sequence[Scene]) -> dict[str, Any]:
-    """What does not move: baffles and solids by their corners, of terrain the highest, at nodes over the box.
-
-    Of a second scene what the first does not have; no second terrain.
-    """
+    """What does not move: baffles and solids by their corners, of terrain the highest, at nodes over the box. Of a
+    second scene what the first does not have; no second terrain."""
     scene, parts, ground = scenes[0], [], None
     first_solids = set(solids_of(scene)[0])
     for index, current in enumerate(scenes):

@@ -137,10 +137,7 @@ def system_of(file: Any) -> CRS | None:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """A raster as rasterio has it; a mosaic (.vrt) opens the files that it names, on this machine alone.
-
-    Raises InputError for what goes wrong in the block, too.
-    """
+    """A raster as rasterio has it, of a mosaic (.vrt) on this machine alone. Raises InputError, also for the block."""
     file_size(path, "a raster", most=LARGEST)
     with reading(path, "a readable raster"), warnings.catch_warnings(), ExitStack() as stack:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -246,10 +243,8 @@ def carried(source: Any, target: Any, east: Sequence[float], north: Sequence[flo
 def write_raster(
     path: Path, values: Floats, cell: float, corner: Sequence[float], crs: str | None, name: str, unit: str
 ) -> None:
-    """Write `values` [X, Z] on square cells of an edge `cell` [m], from `corner` on (east, north), as a GeoTIFF.
-
-    Rows run from the north (large z) to the south, columns to the east (x); NaN is no data. Raises WorkFailed.
-    """
+    """Write `values` [X, Z] on square cells of an edge `cell` [m], from `corner` on (east, north), as a GeoTIFF. Rows
+    run from the north (large z) to the south, columns to the east (x); NaN is no data. Raises WorkFailed."""
     rows = np.ascontiguousarray(values.T[::-1], np.float32)
     (height, width), (east, north) = rows.shape, corner
     profile: dict[str, Any] = {"driver": "GTiff", "compress": "deflate", "predictor": 3, "count": 1, "dtype": "float32"}

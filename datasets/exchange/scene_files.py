@@ -29,10 +29,8 @@ FILES = {"terrain": "file", "layer": "thickness", "mesh": "file", INFLOW: "file"
 
 
 def with_files(data: Entry, folder: Path) -> Entry:
-    """The keys of a scene with what its files hold in place of their names. Raises InputError.
-
-    folder: where relative paths begin. What is wrong with other keys is left to the scene's own checks.
-    """
+    """The keys of a scene with what its files hold in place of their names. Raises InputError. folder: where relative
+    paths begin. What is wrong with other keys is left to the scene's own checks."""
     if not isinstance(data.get("domain"), dict):
         return data
     domain, new = data["domain"], dict(data)
@@ -112,11 +110,8 @@ class Reader:
         return entry
 
     def at_posts(self, path: Path, terrain: Entry) -> Any:
-        """A raster of a coefficient of the bed at the posts of a terrain, bilinear between the centres of its cells:
-        rows as of its heights, or the one number that all have.
-
-        It lies where the terrain's raster does. Raises InputError for posts in the box that no value is for.
-        """
+        """A raster of a coefficient of the bed, which lies as the terrain's, at the posts of a terrain, bilinear: rows
+        as of its heights, or the one number that all have. Raises InputError for posts in the box without a value."""
         from scipy.ndimage import map_coordinates
 
         from datasets.exchange.rasters import read_raster, same_system
@@ -179,10 +174,8 @@ class Reader:
         return entry
 
     def around_box(self, axes: list[Floats], values: Floats) -> tuple[list[Floats], Floats]:
-        """What of a terrain [X, Z] lies in and around the box, two values an axis at least; there without holes.
-
-        Holes beyond the box have the elevation of the nearest value. Raises InputError for those in it.
-        """
+        """What of a terrain [X, Z] lies in and around the box, two values an axis at least; there without holes. Holes
+        beyond the box have the elevation of the nearest value. Raises InputError for those in it."""
         from scipy.ndimage import distance_transform_edt
 
         parts, margin = [], BEYOND * self.cell

@@ -91,10 +91,8 @@ def read_columns(
 
 
 def described(header: Sequence[str], metres: float) -> tuple[list[str], list[float | None], list[str]]:
-    """Names of columns, factors on their numbers (None: of no known unit), and their units, empty where absent.
-
-    A name is in lower case unless another column has it so.
-    """
+    """Names of columns, in lower case unless another column has one so, factors on their numbers (None: of no known
+    unit), and their units, empty where absent."""
     names, factors, units = [], list[float | None](), []
     parts = [(cell, NAMED.fullmatch(cell)) for cell in header]
     spelled = [cell if found is None else found["name"] for cell, found in parts]
@@ -112,10 +110,7 @@ def described(header: Sequence[str], metres: float) -> tuple[list[str], list[flo
 def numbers(
     line: int, row: Sequence[str], count: int, places: Sequence[int], separator: str, blanks: bool
 ) -> tuple[list[float], bool]:
-    """The numbers in some columns of a row, and whether any has a decimal comma. Raises InputError.
-
-    blanks: whether what is empty is NaN.
-    """
+    """The numbers in some columns of a row, NaN of empty `blanks`, and whether any has a comma. Raises InputError."""
     cells, commas = [cell.strip() for cell in row], False
     if blanks and not any(cells):
         return [math.nan] * len(places), False

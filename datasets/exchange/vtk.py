@@ -82,10 +82,8 @@ class Meshes:
 
 
 def spatial(vectors: NDArray[Any], width: int = 3) -> NDArray[Any]:
-    """Vectors of any dimension with three components, shape [N, D] -> [N, 3]; of a stress with six.
-
-    VTK orders a symmetric tensor as we do: xx, yy, zz, xy, yz, zx.
-    """
+    """Vectors of any dimension with three components, shape [N, D] -> [N, 3]; of a stress with six. VTK orders a
+    symmetric tensor as we do: xx, yy, zz, xy, yz, zx."""
     return np.pad(vectors, ((0, 0), (0, width - vectors.shape[1])))
 
 
@@ -101,11 +99,8 @@ def edges(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyDat
 
 
 def extent(scene: Scene, positions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Corners [m], shape [3] each, of what is drawn, with some air; up to the walls where these are near.
-
-    That is the flow at `positions` [m], shape [T, N, D], the masses, the baffles and the solids but for terrain, which
-    is everywhere.
-    """
+    """Corners [m], shape [3] each, of what is drawn with some air, up to walls that are near: the flow at `positions`
+    [m], [T, N, D], masses, baffles and solids but for terrain, which is everywhere."""
     size = np.array(scene.domain.size)
     boxes: list[Mass | Baffle] = [*scene.masses, *scene.baffles]
     corners = [np.array(box.lower) for box in boxes] + [np.add(box.lower, box.size) for box in boxes]

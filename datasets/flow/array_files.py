@@ -28,10 +28,8 @@ WHAT = "a trajectory"
 
 
 class FrameWriter:
-    """An HDF5 file that grows as frames are computed, and takes its place when the block ends.
-
-    Memory holds no more frames than one call appends.
-    """
+    """An HDF5 file that grows as frames are computed, no more in memory than one call appends, and is there at the
+    end."""
 
     def __init__(self, path: str | Path) -> None:
         self._path, self._stack = Path(path), ExitStack()
@@ -114,10 +112,8 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def read_arrays(path: Path, *names: str, optional: tuple[str, ...] = (), what: str = WHAT) -> dict[str, NDArray[Any]]:
-    """The arrays `names` of an NPZ or HDF5 file and, where they are there, `optional`; all where none is named.
-
-    Never runs a pickle. Raises InputError.
-    """
+    """The arrays `names` of an NPZ or HDF5 file and, where they are there, `optional`; all where none is named. Never
+    runs a pickle. Raises InputError."""
 
     def chosen(there: Collection[str]) -> list[str]:
         return [*names, *(name for name in optional if name in there)] or list(there)
@@ -134,11 +130,9 @@ def read_arrays(path: Path, *names: str, optional: tuple[str, ...] = (), what: s
 
 
 def open_frames(path: Path, key: str, *, sound: bool = False) -> NDArray[Any]:
-    """The frames `key` of an NPZ or HDF5 file, read when they are used and no sooner; read-only.
-
-    From an NPZ a memory map, or the whole array where it is compressed or not float32; from HDF5 `Frames`. The file
-    stays open for as long as they are in use. sound: read an NPZ once, against its check sum. Raises InputError.
-    """
+    """The frames `key` of an NPZ or HDF5 file, read when they are used; read-only. sound: read an NPZ once, against its
+    check sum. From an NPZ a memory map, or the whole array where it is compressed or not float32; from HDF5 `Frames`,
+    whose file stays open. Raises InputError."""
     if path.suffix == HDF5:
         import h5py
 

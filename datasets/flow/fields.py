@@ -77,10 +77,8 @@ class FlowFields:
 
     @cached_property
     def material(self) -> NDArray[np.int32]:
-        """Index into `materials` of each particle, shape [N].
-
-        Where the trajectory does not say its mass, that of the nearest of the scene's own particles at the start.
-        """
+        """Index into `materials` of each particle, shape [N]. Where the trajectory does not say its mass, that of the
+        nearest of the scene's own particles at the start."""
         from scipy.spatial import cKDTree
 
         scene = self.trajectory.scene
@@ -127,10 +125,8 @@ class FlowFields:
         return {key: array for key, array in values.items() if array is not None}
 
     def at_time(self, time: float) -> Values:
-        """The `position` and all that is known of the particles at a time [s], and which have `entered`.
-
-        Linear between frames; beyond them the first one's or the last one's.
-        """
+        """The `position` and all that is known of the particles at a time [s], and which have `entered`. Linear between
+        frames; beyond them the first one's or the last one's."""
         flow = self.trajectory
         (before,), (share,) = (bracket.tolist() for bracket in brackets(flow.time, np.array([time])))
         first, second = (

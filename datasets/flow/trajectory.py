@@ -100,10 +100,8 @@ class Trajectory:
 
     @property
     def frame_dt(self) -> float:
-        """Time between two frames that were kept [s], the scene's where there is one frame alone.
-
-        Raises InputError where the frames are not evenly spaced in time.
-        """
+        """Time between two frames that were kept [s], the scene's where there is one frame alone. Raises InputError
+        where the frames are not evenly spaced in time."""
         if len(self.time) == 1:
             return self.scene.frame_dt
         steps = np.diff(self.time)

@@ -71,10 +71,8 @@ class Filling:
         return float(np.bincount(column).max() * self.spacing[1])
 
     def positions(self, offset: Floats, stretch: Floats | float = 1.0) -> Floats:
-        """Positions [m], shape [N, D], of particles moved by `offset` [N, D], in fractions of the spacing.
-
-        stretch: of the heights above the ground of a layer [-], shape [N].
-        """
+        """Positions [m], shape [N, D], of particles moved by `offset` [N, D], in fractions of the spacing. stretch: of
+        the heights above the ground of a layer [-], shape [N]."""
         if self.inflow is not None:
             return self.inflow.places(offset[0])
         moved = self.lattice + offset * self.spacing

@@ -42,11 +42,8 @@ def unit(vectors: Floats) -> Floats:
 
 
 def pseudonormals(vertices: Floats, faces: Integers) -> tuple[Floats, Floats, Floats]:
-    """Unit normals of faces [F, D], 0 of one without area; of their corners [F, D, D]; of triangles' edges [F, 3, D].
-
-    A corner's is the sum of the normals around its vertex, in 3D weighted by their angles there, an edge's that of its
-    two (Baerentzen & Aanaes 2005). Segments have no edges: [F, 0, 2].
-    """
+    """Unit normals of faces [F, D], 0 of one without area; of their corners [F, D, D], sums around the vertex, in 3D
+    weighted by angles; of triangles' edges [F, 3, D], none of segments (Baerentzen & Aanaes 2005)."""
     corners = vertices[faces]
     edges = np.roll(corners, -1, axis=1) - corners
     angles = np.ones(faces.shape)

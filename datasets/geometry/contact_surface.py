@@ -51,9 +51,7 @@ class HeightField:
 
     def around(self, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """x, z, heights and friction, both [X, Z], of the posts over a rectangle from `low` to `high` [m], shape [2].
-
-        With the cells around them, so that the normals inside are those of the whole raster.
-        """
+        With the cells around them, so that the normals inside are those of the whole raster."""
         ends = [
             np.searchsorted(axis, (near - TOUCHING, far + TOUCHING)).tolist()
             for axis, near, far in ((self.x, low[0], high[0]), (self.z, low[1], high[1]))
@@ -99,10 +97,8 @@ def has_faces(scene: SceneLayout) -> bool:
 
 
 def contact_surface_of(scene: SceneLayout) -> ContactSurface | None:
-    """The surface of all baffles and solids of `scene`; None where it has none. Raises InputError.
-
-    The same scene, or one with the same box and solids, gives the same object.
-    """
+    """The surface of all baffles and solids of `scene`, the same object for the same ones; None where it has none.
+    Raises InputError."""
     if not scene.baffles and not scene.solids:
         return None
     if not has_field(scene):

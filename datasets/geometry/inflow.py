@@ -178,10 +178,8 @@ def foot_of(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float,
 def direction_of(
     mass: Mass, domain: Domain, ground: tuple[Solid, ...], line: Floats, along: Floats, key: str
 ) -> Floats:
-    """The unit vector of the velocity, shape [3]: as given, else across the section and down along the ground beneath.
-
-    line: places along the foot [m], shape [S, 3]. On level ground it is the one across whose x is larger.
-    """
+    """The unit vector of the velocity, shape [3]: as given, else across the section, of which `line` are places [S, 3],
+    and down along the ground beneath; on level ground the one whose x is larger."""
     key = f"{key}.direction"
     if mass.direction is not None:
         check_vector(mass.direction, key, domain.dimension)

@@ -33,11 +33,8 @@ class Nearest(NamedTuple):
 
 
 def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest:
-    """The nearest places of `surface` for `points` [m], shape [N, D].
-
-    Points farther from it than `within` [m] cost less: their distance is inf, or right, whatever side they are on; what
-    else is said of those at inf is that of a place near by.
-    """
+    """The nearest places of `surface` for `points` [m], shape [N, D]. Of points farther than `within` [m] the distance
+    may be inf, which costs less; their foot is then some place near by."""
     points = np.atleast_2d(np.asarray(points, np.float64))
     search, portion = Search(surface), PAIRS // 50
     firsts = range(0, max(1, len(points)), portion)

@@ -129,11 +129,8 @@ def remembers_gaps(scene: SceneLayout) -> bool:
 
 
 def heights_above_ground(scene: SceneLayout) -> Floats:
-    """Height [m] of the body that each mass belongs to, above what is beneath it; masses that touch are one body.
-
-    That of the body is the least of its masses', each above the floor or the highest box or solid beneath it, that of a
-    layer is 0; shape [masses].
-    """
+    """Height [m] above what is beneath it of the body that each mass belongs to, [masses]; masses that touch are one
+    body, as high as the lowest: each above floor, box or solid, a layer at 0."""
     count, shaped = len(scene.masses), has_shapes(scene)
     lower, upper = corners(scene.masses if shaped else (*scene.masses, *scene.baffles))
     level = plan_axes(scene.dimension)
@@ -181,10 +178,8 @@ def underside(scene: SceneLayout, mass: Mass) -> Floats:
 
 
 def tops_beneath(surface: Surface, places: Floats, slack: float) -> Floats:
-    """Elevation [m] of the highest place of the surface at or beneath each place [m], shape [N, D]; shape [N].
-
-    Of those up to `slack` [m] above it too, and 0, the floor's, where there is none.
-    """
+    """Elevation [m] of the highest place of the surface at or beneath each place [m], [N, D], or up to `slack` [m]
+    above it; 0, the floor's, where there is none; shape [N]."""
     level = plan_axes(surface.dimension)
     # Not more than rounding: the sides of a turned box have no area in plan.
     up = surface.normals[:, 1] > 1.0e-9

@@ -67,10 +67,8 @@ def lengthened_ring(body: Body, axis: int, limit: float, beyond: float) -> Body:
 
 
 def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
-    """Vertices [V, 2] and segments [F, 2] of the union, friction at their ends [F, 2] and the body of each [F].
-
-    Closing by a distance far below what matters merges rings that touch but for rounding.
-    """
+    """Vertices [V, 2] and segments [F, 2] of the union, friction at their ends [F, 2] and the body of each [F]. Closing
+    by a distance far below what matters merges rings that touch but for rounding."""
     grown = [Polygon(body.vertices).buffer(gap, join_style="mitre", mitre_limit=50.0) for body in bodies]
     closed = shapely.union_all(grown).buffer(-gap, join_style="mitre", mitre_limit=50.0)
     loops = []
@@ -101,10 +99,8 @@ def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Fl
 def check_corners(
     vertices: Floats, owner: NDArray[np.int32], shapes: list[Polygon], keys: list[str], gap: float
 ) -> None:
-    """Raise InputError where solids in 2D meet in a point alone, but for what `gap` [m] on either side closes.
-
-    There the boundary of their union has two corners in one place [m], [V, 2]; owner: the solid of each, [V].
-    """
+    """Raise InputError where solids in 2D meet in a point alone, but for what `gap` [m] on either side closes. There
+    the boundary of their union has two corners in one place [m], [V, 2]; owner: the solid of each, [V]."""
     pairs = cKDTree(vertices).query_pairs(100.0 * gap, output_type="ndarray")
     for first, second in sorted({(min(pair), max(pair)) for pair in owner[pairs].tolist()}):
         if first != second and shapes[first].distance(shapes[second]) <= 2.0 * gap:

@@ -29,11 +29,8 @@ def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = No
 
 
 def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, Integers]:
-    """Vertices [V, 3] and triangles [T, 3] of a closed surface, turned to face outwards, its shells united.
-
-    A shell that faces inwards within others is a cavity. What shells share counts once, which a warning says. Raises
-    InputError where the surface is open.
-    """
+    """Vertices [V, 3] and triangles [T, 3] of a closed surface, turned outwards, its shells united: one that faces
+    inwards within others is a cavity; what they share counts once, which is said. Raises InputError."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     _, number = np.unique(edges, axis=0, return_counts=True)
     opened, odd = int((number == 1).sum()), int((number % 2 == 1).sum())
@@ -102,9 +99,7 @@ def lengthened_surface(body: Body, axis: int, limit: float, beyond: float) -> Bo
 
 def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
     """Vertices [V, 3] and triangles [F, 3] of the union, friction at their corners [F, 3] and the body of each [F].
-
-    Every body but rasters grows by `gap`, so that those that touch but for rounding share volume.
-    """
+    Every body but rasters grows by `gap`, so that those that touch but for rounding share volume."""
     parts, numbers = [], {}
     for number, body in enumerate(bodies):
         part = manifold(grown(body, gap) if body.grows else body.vertices, body.faces, body.friction).as_original()
@@ -127,11 +122,8 @@ def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers,
 
 
 def check_lines(bodies: list[Body], parts: list[manifold3d.Manifold], gap: float) -> None:
-    """Raise InputError where solids in 3D meet in a point or along a line alone, which no third solid covers.
-
-    parts: the solids, each grown by `gap` [m]. Those that do not touch but come within NEARLY gaps of each other, as
-    with rounded vertices, are looked at when they have grown by half of that.
-    """
+    """Raise InputError where solids in 3D meet in a point or along a line alone, which no third solid covers. parts:
+    the solids, each grown by `gap` [m]; those within NEARLY gaps of each other grow by half of that."""
     near = NEARLY * gap
     for first, second in near_pairs(parts, near):
         pair, wide, narrow, apart = [parts[first], parts[second]], gap, NARROW, ""
@@ -175,10 +167,8 @@ def near_pairs(parts: list[manifold3d.Manifold], near: float) -> Iterator[tuple[
 
 
 def grown(body: Body, gap: float) -> Floats:
-    """The vertices [V, 3] of a body whose faces have all moved outwards by `gap` [m].
-
-    A vertex moves by the least d for which n . d = gap of its faces' normals n, in the mean square where they are many.
-    """
+    """The vertices [V, 3] of a body whose faces have all moved outwards by `gap` [m]. A vertex moves by the least d for
+    which n . d = gap of its faces' normals n, in the mean square where they are many."""
     normals, _, _ = pseudonormals(body.vertices, body.faces)
     matrix, right = np.zeros((len(body.vertices), 3, 3)), np.zeros((len(body.vertices), 3))
     for corner in range(3):

@@ -69,10 +69,8 @@ class Surface:
 
 
 def surface_of(scene: SceneLayout) -> Surface | None:
-    """The surface of all baffles and solids of `scene`; None where it has none. Raises InputError.
-
-    The same scene, or one with the same box and solids, gives the same object.
-    """
+    """The surface of all baffles and solids of `scene`, the same object for the same ones; None where it has none.
+    Raises InputError."""
     if not scene.baffles and not scene.solids:
         return None
     return surface_in(scene.domain, *solids_of(scene))
@@ -80,8 +78,7 @@ def surface_of(scene: SceneLayout) -> Surface | None:
 
 def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     """Everything solid in `scene`, in the order of its numbers, and the keys of each; without their turbulence, so that
-    scenes which differ by that alone share their surface.
-    """
+    scenes which differ by that alone share their surface."""
     baffles = []
     for baffle in scene.baffles:
         friction = scene.friction_of(baffle)
@@ -202,10 +199,8 @@ def raster_body(x: Floats, z: Floats, heights: Floats, friction: Floats, *, deep
 
 
 def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
-    """The body cut off at a side of the box (0 or 1 of `axis`) and continued beyond, where it reaches the side.
-
-    Raises InputError where nothing of it lies in the box.
-    """
+    """The body cut off at a side of the box (0 or 1 of `axis`) and continued beyond, where it reaches the side. Raises
+    InputError where nothing of it lies in the box."""
     limit, out = (box.size[axis], 1.0) if side else (0.0, -1.0)
     within = replace(body, vertices=snapped(body.vertices, axis, limit))
     height = out * (within.vertices[:, axis] - limit)

@@ -53,9 +53,7 @@ def find(name: str | Path, shelf: Path, what: str) -> Path:
 
 def read_scene(name: str | Path) -> Scene:
     """Read the scene at a path, or of a shipped name such as `column-short-21`, with the files that it names beside it.
-
-    Raises InputError, which names the file and the key.
-    """
+    Raises InputError, which names the file and the key."""
     path = find(name, SCENES, "scene")
     with naming(path):
         data = read_toml(path)
@@ -108,10 +106,8 @@ def moved_entry(entry: Any, keys: dict[str, slice], by: NDArray[np.float64]) -> 
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:
-    """Write `scene` as TOML, the keys that differ from their defaults; `read_scene` gives an equal one.
-
-    In map coordinates where its box has an origin; then places are equal to a tenth of a micrometre.
-    """
+    """Write `scene` as TOML, the keys that differ from their defaults; `read_scene` gives an equal one. In map
+    coordinates where its box has an origin; then places are equal to a tenth of a micrometre."""
     table = changed(scene)
     for mass in table["masses"]:
         if mass.get("kind", "box") != "box":

@@ -59,10 +59,8 @@ SOFTENING = ("friction_deg", "cohesion", "tension_cutoff")
 
 
 def sine_of_slope(tangent: Any, psi: float) -> Any:
-    """sin(phi) [-] of a slope's tan(angle) = sin phi cos psi / (1 - sin phi sin psi), psi in radians (Davis 1968).
-
-    A number, an array or a tensor.
-    """
+    """sin(phi) [-] of a slope's tan(angle) = sin phi cos psi / (1 - sin phi sin psi), psi in radians (Davis 1968). A
+    number, an array or a tensor."""
     return tangent / (math.cos(psi) + tangent * math.sin(psi))
 
 

@@ -182,9 +182,7 @@ def observed_cohesion(
 
 def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
     """Particles along each axis of `mass`: the spacing nearest to `cell / particles_per_axis` that fits its size.
-
-    Spacings of a mass differ by a factor of two at most where every side is at least a cell.
-    """
+    Spacings of a mass differ by a factor of two at most where every side is at least a cell."""
     return [max(1, round(length / scene.particle_spacing)) for length in mass.size]
 
 
