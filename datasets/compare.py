@@ -30,8 +30,7 @@ from datasets.scene.grid_field import Floats
 
 Figures = dict[str, Floats]
 
-MOMENTS = 60
-"""At most so many are compared, evenly in time."""
+MOMENTS = 60  # at most so many are compared, evenly in time
 FIGURES = {"front": "m", "runout": "m", "toe": "m", "height": "m", "kinetic": "J", "potential": "J"}
 """Of a flow at a time, with their units, energies in 2D per metre of width; `toe` is its x, `height` the mean of the
 volume above the ground, `kinetic` may be nan."""

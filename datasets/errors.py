@@ -44,8 +44,7 @@ def keyed(key: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        inner = f"{key}.{error.key}".removesuffix(".")
-        raise error if error.where else type(error)(error.message, key=inner) from None
+        raise error if error.where else type(error)(error.message, key=f"{key}.{error.key}".removesuffix(".")) from None
 
 
 def require(ok: bool, key: str, expected: str, got: object) -> None:

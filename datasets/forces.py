@@ -31,12 +31,9 @@ MOST_PANELS = 6  # solids in one plot; of more, those with the largest peaks are
 class Forces:
     """Mean forces on solids over the intervals of a trajectory's frames."""
 
-    names: tuple[str, ...]
-    """Of the solids: baffles, other solids, then the sides of the box where recorded, `y-` the floor."""
-    time: Floats
-    """Ends of the intervals [s], shape [T]; each begins where the one before ends, the first at 0."""
-    force: Floats
-    """Force on each solid [N, in 2D per metre of width], shape [T, S, D]; positive along the axes of the box."""
+    names: tuple[str, ...]  # of baffles, other solids, then the sides of the box where recorded, `y-` the floor
+    time: Floats  # ends of the intervals [s], shape [T]; each begins where the one before ends, the first at 0
+    force: Floats  # on each solid [N, in 2D per metre of width], shape [T, S, D]; positive along the axes of the box
 
     @property
     def edges(self) -> Floats:
@@ -85,8 +82,7 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
     impulse = np.concatenate([np.zeros_like(impulse[:1]), impulse])
     if window > 0.0:
         impulse = smoothed(impulse, edges, window)
-    steps = np.diff(edges)[:, None, None]
-    return Forces(names=tuple(recorded), time=ends, force=np.diff(impulse, axis=0) / steps)
+    return Forces(names=tuple(recorded), time=ends, force=np.diff(impulse, axis=0) / np.diff(edges)[:, None, None])
 
 
 def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:

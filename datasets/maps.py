@@ -66,33 +66,19 @@ Integers = NDArray[np.int64]
 class PlanMaps:
     """What a flow came to, over the cells of a map: X along x and Z along z."""
 
-    grid: Grid
-    """Of the middles of the cells along x and z [m]."""
-    thickness: Floats
-    """Of the deposit in the last frame [m], shape [X, Z]."""
-    start: Floats | None
-    """The same at the start; None where that was not kept."""
-    depth: Floats
-    """Largest thickness at any time [m]."""
-    normal_depth: Floats
-    """The same normal to the terrain [m]."""
-    velocity: Floats | None
-    """Largest velocity [m/s] at any time when there was more than the threshold; None where none is known."""
-    arrival: Floats
-    """Time [s] from which on there was more than the threshold for the first time; NaN where there never was."""
-    ground: Floats
-    """Elevation of what is highest of all that is solid, in the middle of a cell [m]; 0, or on a map the origin's, is
-    the floor of the box."""
-    threshold: float
-    """Thickness [m] above which a cell counts as covered."""
-    volume: float
-    """Of the particles in the last frame [m^3]."""
-    left: float
-    """Volume of those that are no longer in the box then."""
-    corner: tuple[float, ...] = (0.0, 0.0)
-    """Easting and northing of x = z = 0 [m]: x runs to the east, z to the north."""
-    crs: str | None = None
-    """Reference system of these, as an authority's code or in WKT; None of local coordinates, those of the box."""
+    grid: Grid  # of the middles of the cells along x and z [m]
+    thickness: Floats  # of the deposit in the last frame [m], shape [X, Z]
+    start: Floats | None  # the same at the start; None where that was not kept
+    depth: Floats  # largest thickness at any time [m]
+    normal_depth: Floats  # the same normal to the terrain [m]
+    velocity: Floats | None  # largest [m/s] when there was more than the threshold; None where none is known
+    arrival: Floats  # time [s] at which there was more than the threshold for the first time; NaN where never
+    ground: Floats  # elevation of the highest solid, else of the floor of the box, in the middle of a cell [m]
+    threshold: float  # thickness [m] above which a cell counts as covered
+    volume: float  # of the particles in the last frame [m^3]
+    left: float  # volume of those that are no longer in the box then
+    corner: tuple[float, ...] = (0.0, 0.0)  # easting and northing of x = z = 0 [m]: x runs to the east, z to the north
+    crs: str | None = None  # of these, as an authority's code or in WKT; None of coordinates of the box
 
     @property
     def cell(self) -> float:
@@ -128,8 +114,7 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
         depth[cells] = np.maximum(depth[cells], volume / cell**2)
         covered, known = volume / cell**2 > threshold, known or moving
         arrival[cells] = np.where(np.isnan(arrival[cells]) & covered, time, arrival[cells])
-        speed = np.where(covered, np.linalg.norm(momentum, axis=0) / volume, 0.0)
-        fastest[cells] = np.maximum(fastest[cells], speed)
+        fastest[cells] = np.maximum(fastest[cells], np.where(covered, np.linalg.norm(momentum, axis=0) / volume, 0.0))
     last, here = trajectory.positions[-1], trajectory.entered(float(trajectory.time[-1]))
     inside = ((last >= limits[0]) & (last <= limits[1])).all(axis=1) & here
     corner, crs = map_corner(scene)

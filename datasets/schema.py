@@ -21,10 +21,8 @@ from datasets.files import line_of
 T = TypeVar("T")
 UNSEEN = ("float", "str", "constants")
 """Parts of an error's path that a file does not have: types of a key that takes either, where keys are gathered."""
-FEW_KEYS = 12
-"""Keys of a table that are listed where an unknown one is refused."""
-SHORT = 3
-"""Numbers of a vector that are shown where one of them is out of bounds: those of a place."""
+FEW_KEYS = 12  # keys of a table that are listed where an unknown one is refused
+SHORT = 3  # numbers of a vector that are shown where one of them is out of bounds: those of a place
 FARTHEST = 1.0e9
 """Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
 
@@ -84,8 +82,7 @@ def bounds_of(kind: type) -> dict[str, Bounds]:
         for part in get_args(hint):
             yield from within(part)
 
-    hints = get_type_hints(kind, include_extras=True)
-    return {name: bounds for name, hint in hints.items() for bounds in within(hint)}
+    return {name: bounds for name, hint in get_type_hints(kind, include_extras=True).items() for bounds in within(hint)}
 
 
 def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:

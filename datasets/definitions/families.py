@@ -134,8 +134,7 @@ def composed(stream: Stream, kind: Numbers) -> Scene:
     domain = Domain(size=tuple(cell * math.ceil(length / cell - 1e-6) for length in extent), cell=cell)
     baffles = baffles_of(stream, {**sketch, "baffles": kind.get("baffles")}, masses, domain, solids)
     keys["baffle_friction"] = keys.get("baffle_friction", 0.0) if baffles else 0.0
-    seed = int(stream.integers(2**31))
-    return Scene(seed=seed, domain=domain, masses=masses, solids=solids, baffles=baffles, **keys)
+    return Scene(seed=int(stream.integers(2**31)), domain=domain, masses=masses, solids=solids, baffles=baffles, **keys)
 
 
 def with_cutoff(sand: Numbers) -> dict[str, Any]:

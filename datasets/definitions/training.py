@@ -55,12 +55,9 @@ def thin(
 class MotionStatistics:
     """Moments of v_t [m per frame] and of a_t [m per frame^2]; those of two parts add up to those of both."""
 
-    count: NDArray[np.int64]
-    """Samples of v_t and of a_t, shape [2, 1]."""
-    mean: NDArray[np.float64]
-    """Mean per axis, shape [2, D]."""
-    squares: NDArray[np.float64]
-    """Sum of squared deviations from the mean per axis, shape [2, D]."""
+    count: NDArray[np.int64]  # samples of v_t and of a_t, shape [2, 1]
+    mean: NDArray[np.float64]  # mean per axis, shape [2, D]
+    squares: NDArray[np.float64]  # sum of squared deviations from the mean per axis, shape [2, D]
 
     @staticmethod
     def from_samples(*samples: NDArray[np.float64]) -> "MotionStatistics":

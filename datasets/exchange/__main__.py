@@ -37,12 +37,9 @@ CLOSE = 1.0e-6  # relative difference of two boxes that is rounding
 class ForeignMetadata(Record):
     """What Talus uses of their `metadata.json`."""
 
-    bounds: tuple[tuple[float, float], ...]
-    """Lower and upper end of the box per axis [m]."""
-    dt: float
-    """Time between frames [s]."""
-    dx: float | None = None
-    """Spacing of the particles [m], which Talus writes."""
+    bounds: tuple[tuple[float, float], ...]  # lower and upper end of the box per axis [m]
+    dt: float  # time between frames [s]
+    dx: float | None = None  # spacing of the particles [m], which Talus writes
 
 
 def export(dataset: Path, out: Path) -> None:
@@ -111,8 +108,7 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
         values = {key: purpose[key] for key in ForeignMetadata.__dataclass_fields__ if key in purpose}
         with naming(source / "metadata.json"):
             foreign = from_mapping(ForeignMetadata, values)
-        flows = tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True)
-        for name, sand in flows:
+        for name, sand in tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True):
             with naming(path, name):
                 fits = Path(name).name == name and name[:1] not in ("", ".")
                 require(fits, "", "a name that a file can have", repr(name))

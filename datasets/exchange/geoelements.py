@@ -57,8 +57,7 @@ def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
         shape = shapely.Polygon(vertices) if planar else manifold(vertices, faces)
         thickness = 2.0 * (shape.area / shape.length if planar else shape.volume() / shape.surface_area())
         lattice, _ = lattice_in(vertices.min(axis=0), vertices.max(axis=0), min(spacing, thickness))
-        within = shapely.contains_xy(shape, lattice) if planar else sliced(vertices, faces, lattice)
-        parts.append(lattice[within])
+        parts.append(lattice[shapely.contains_xy(shape, lattice) if planar else sliced(vertices, faces, lattice)])
     if any(solid.kind == "terrain" for solid in scene.solids):
         lengths = size[plan_axes(scene.dimension)]
         plan, _ = lattice_in(np.zeros(len(lengths)), lengths, spacing)

@@ -45,11 +45,9 @@ PAGE = Path(__file__).with_suffix(".html")
 class Observed:
     """What was measured of a flow's end, as far as a picture can show it."""
 
-    front: float | None = None
-    """x of the front [m]."""
+    front: float | None = None  # x of the front [m]
     x: Sequence[float] = ()
-    height: Sequence[float] = ()
-    """A profile [m]: height at x, both of shape [R]."""
+    height: Sequence[float] = ()  # a profile [m]: height at x, both of shape [R]
 
 
 class Shown:
@@ -57,16 +55,11 @@ class Shown:
 
     def __init__(self, flow: Trajectory, columns: Columns) -> None:
         self.flow, self.fields, self.columns = flow, FlowFields(flow), columns
-        count = flow.positions.shape[1]
         # At random: every so many of a lattice would be stripes.
-        self.particles = np.sort(np.random.default_rng(0).permutation(count)[:PARTICLES])
-        """Indices of those that are drawn, shape [P]."""
-        self.positions: list[NDArray[np.floating]] = []
-        """Of these [m], [T] times [P, D]."""
-        self.values: dict[str, list[NDArray[np.floating]]] = {}
-        """Fields in the unit of their colour bar, [T] times [P] each."""
-        self.heights: list[NDArray[np.float64]] = []
-        """Thickness along x [m], [T] times [S]."""
+        self.particles = np.sort(np.random.default_rng(0).permutation(flow.positions.shape[1])[:PARTICLES])  # [P]
+        self.positions: list[NDArray[np.floating]] = []  # of these [m], [T] times [P, D]
+        self.values: dict[str, list[NDArray[np.floating]]] = {}  # in the unit of their colour bar, [T] times [P]
+        self.heights: list[NDArray[np.float64]] = []  # thickness along x [m], [T] times [S]
         self.front: list[float] = []
 
     def add(self, values: Values) -> None:
@@ -211,8 +204,7 @@ def coloured(key: str, top: float, materials: Sequence[Material]) -> dict[str, A
         return {"name": name, "title": given.title, "low": 0.0, "high": top, "scale": stops, "ticks": {}}
     stops = [[(index + end) / count, to_hex(map_(index % map_.N))] for index in range(count) for end in (0, 1)]
     ticks = {"tickvals": list(range(count)), "ticktext": [f"{material.friction_deg:g}°" for material in materials]}
-    ends = {"low": -0.5, "high": count - 0.5}
-    return {"name": name, "title": given.title, **ends, "scale": stops, "ticks": ticks}
+    return {"name": name, "title": given.title, "low": -0.5, "high": count - 0.5, "scale": stops, "ticks": ticks}
 
 
 def still(scenes: Sequence[Scene]) -> dict[str, Any]:

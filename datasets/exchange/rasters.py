@@ -54,18 +54,12 @@ SAME_PLACE = 1.0  # how far two reference systems may be apart that are one for 
 class Raster(NamedTuple):
     """Values on a regular grid."""
 
-    x: Floats
-    """Ascending [m], shape [X]."""
-    z: Floats
-    """Ascending [m], shape [Z]."""
-    values: Floats
-    """NaN in holes, shape [X, Z]."""
-    spacing: tuple[float, float]
-    """Of the grid along x and z [m]."""
-    corner: tuple[float, float]
-    """Lower left corner of the extent in the file's own coordinates [m]."""
-    crs: str | None
-    """Coordinate reference system, as an authority's code or in WKT, where it names one."""
+    x: Floats  # ascending [m], shape [X]
+    z: Floats  # ascending [m], shape [Z]
+    values: Floats  # NaN in holes, shape [X, Z]
+    spacing: tuple[float, float]  # of the grid along x and z [m]
+    corner: tuple[float, float]  # lower left corner of the extent in the file's own coordinates [m]
+    crs: str | None  # coordinate reference system, as an authority's code or in WKT, where it names one
 
 
 def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
@@ -86,8 +80,7 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
     require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
     require(bands == 1, "", "a raster of one band", bands)
     unit = (height_unit(crs) if crs else "") or unit
-    known_unit = coefficients or unit is None or unit.lower() in METRES
-    require(known_unit, "", "elevations in metres", repr(unit))
+    require(coefficients or unit is None or unit.lower() in METRES, "", "elevations in metres", repr(unit))
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
     require(name.lower() in METRES, "", "a projected coordinate system in metres", f"one in {name}")
     require(georeferenced, "", "a raster that says where it lies and how large its cells are", "one that does not")

@@ -57,8 +57,7 @@ class Reader:
 
     def __init__(self, domain: Domain, folder: Path) -> None:
         self.folder, self.size, self.cell, self.crs = folder, domain.size, domain.cell, domain.crs
-        self.lower = None if domain.origin is None else domain.origin[::2]
-        """Of the box in plan [m], where the scene is in map coordinates."""
+        self.lower = None if domain.origin is None else domain.origin[::2]  # in plan [m], in map coordinates
         self.offset: tuple[float, float] | None = None if self.lower is None else (0.0, 0.0)
         if domain.crs is not None:
             from datasets.exchange.rasters import known_system

@@ -32,10 +32,8 @@ MOST_DEGREES = 360.0
 class Feature(NamedTuple):
     """A polygon with what the file says of it."""
 
-    polygon: Polygon
-    """In metres."""
-    attributes: dict[str, Any]
-    """Names in lower case."""
+    polygon: Polygon  # in metres
+    attributes: dict[str, Any]  # names in lower case
 
 
 def read_polygons(path: Path, crs: str | None) -> list[Feature]:

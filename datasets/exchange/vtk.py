@@ -39,8 +39,7 @@ class Meshes:
     def __init__(self, trajectory: Trajectory) -> None:
         self.trajectory, self.fields, scene = trajectory, FlowFields(trajectory), trajectory.scene
         solids = ("solids",) if scene.baffles or scene.solids else ()
-        self.parts: tuple[str, ...] = (MOVING, *solids, "domain")
-        """What there is to draw, the same in every frame."""
+        self.parts: tuple[str, ...] = (MOVING, *solids, "domain")  # the same in every frame
 
     def part(self, name: str, frame: int, since: int) -> "pyvista.PolyData":
         """The part `name` at `frame`: particles with their fields, a vertex each, the edges of the box, or the solids.

@@ -15,12 +15,9 @@ from datasets.scene.particles import initial_particles
 
 Values = dict[str, NDArray[Any]]
 """Of the particles by name, shape [N] or [N, D] each."""
-RECORDED = ("stress", "pressure", "plastic_strain", "pore_pressure")
-"""Fields that a run may have recorded."""
-CONSTANT = ("material", "friction_deg")
-"""Fields that do not change."""
-RANGE_QUANTILE = 0.995
-"""A colour bar ends at this quantile of the particles of its frames: no single particle decides."""
+RECORDED = ("stress", "pressure", "plastic_strain", "pore_pressure")  # fields that a run may have recorded
+CONSTANT = ("material", "friction_deg")  # fields that do not change
+RANGE_QUANTILE = 0.995  # a colour bar ends at this quantile of the particles of its frames: no single particle decides
 
 
 class Colour(StrEnum):

@@ -326,8 +326,7 @@ def creep(positions: Positions, step: float) -> float:
     step: between two of them [s].
     """
     steps = (len(positions) - 1) // AFTER
-    moved = np.linalg.norm(positions[-1] - positions[steps], axis=1)
-    return rms(moved) / ((len(positions) - 1 - steps) * step)
+    return rms(np.linalg.norm(positions[-1] - positions[steps], axis=1)) / ((len(positions) - 1 - steps) * step)
 
 
 def rms(values: NDArray[np.floating]) -> float:

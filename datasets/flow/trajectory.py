@@ -19,8 +19,7 @@ from datasets.scene.particles import particle_volumes
 
 Floats = NDArray[np.float32]
 
-SUFFIXES = (".npz", HDF5)
-"""Of the files of trajectories."""
+SUFFIXES = (".npz", HDF5)  # of the files of trajectories
 STORED: dict[str, tuple[type, str]] = {
     "time": (np.float64, "T"),
     "velocity0": (np.float32, "ND"),

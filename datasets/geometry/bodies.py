@@ -35,26 +35,16 @@ LATTICE = 40  # bytes that a coordinate of a lattice takes while it is made
 class Filling:
     """The particles of a body, before their jitter; N of them."""
 
-    lattice: Floats
-    """Their places [m], shape [N, D]; of a layer y counts from the ground."""
-    spacing: Floats
-    """Of the lattice [m], shape [D]."""
-    volume: float
-    """Of the body [m^D], which its particles share evenly."""
-    lower: Floats
-    """Lower corner of the box around the body [m], shape [D]."""
-    upper: Floats
-    """Upper corner [m], shape [D]."""
-    contains: Callable[[Floats], NDArray[np.bool_]]
-    """Which of N places, one of each particle, are still in the body."""
-    raised: Callable[[Floats], Floats] = np.copy
-    """Places of the lattice where they are in the box, both [N, D] in m."""
-    cover: Callable[[Floats], Floats] | None = None
-    """Depth below the top of the body [m], shape [N], of places in the box; below the highest where absent."""
-    thickness: Floats | None = None
-    """Of a layer at the places of its lattice [m], shape [N]."""
-    inflow: Inflow | None = None
-    """What enters, and when, of an inflow; its lattice are the places where."""
+    lattice: Floats  # their places [m], shape [N, D]; of a layer y counts from the ground
+    spacing: Floats  # of the lattice [m], shape [D]
+    volume: float  # of the body [m^D], which its particles share evenly
+    lower: Floats  # lower corner of the box around the body [m], shape [D]
+    upper: Floats  # upper corner [m], shape [D]
+    contains: Callable[[Floats], NDArray[np.bool_]]  # which of N places, one of each particle, are still in the body
+    raised: Callable[[Floats], Floats] = np.copy  # places of the lattice where they are in the box, both [N, D] in m
+    cover: Callable[[Floats], Floats] | None = None  # depth of places below the top [m], [N]; else below the highest
+    thickness: Floats | None = None  # of a layer at the places of its lattice [m], shape [N]
+    inflow: Inflow | None = None  # what enters, and when, of an inflow; its lattice are the places where
 
     def depth(self, positions: Floats) -> Floats:
         """Of `positions` [N, D] below the top of the body, shape [N]; in m."""
@@ -226,8 +216,7 @@ class Plan:
             require((getattr(mass, name) is not None) == gridded, f"{key}.{name}", expected, "others")
         self.edges: tuple[Floats, ...] = ()
         """Of the cells around the places where thicknesses are given, along each axis in plan [m]; none of a number."""
-        self.values = np.array(given, np.float64)
-        """The thickness [m]: a number, or that of each cell."""
+        self.values = np.array(given, np.float64)  # the thickness [m]: a number, or that of each cell
         if isinstance(given, tuple):
             check_grid(mass, given, key, "thickness")
             steps = zip(mass.origin or (), mass.spacing or (), self.values.shape, strict=True)
@@ -246,20 +235,15 @@ class Plan:
         if outline is not None and spatial:
             check_simple(outline, f"{key}.outline")
             shape = shape.intersection(shapely.Polygon(outline))
-        box = shapely.box(0.0, 0.0, size[0], size[1] if spatial else 1.0)
-        self.region = shape.intersection(box)
-        """The layer in plan; in 2D as wide as 1 m."""
+        # In 2D as wide as 1 m.
+        self.region = shape.intersection(shapely.box(0.0, 0.0, size[0], size[1] if spatial else 1.0))
         require(self.region.area > 0.0, key, "a layer that lies in the box", "one that in plan does not")
         shapely.prepare(self.region)
         low_x, low_z, high_x, high_z = self.region.bounds
-        self.lower: Floats = np.array([low_x, low_z] if spatial else [low_x])
-        """Least x, and z, of the layer [m], shape [D - 1]."""
-        self.upper: Floats = np.array([high_x, high_z] if spatial else [high_x])
-        """Greatest [m]."""
-        self.volume = self.within(self.region)
-        """Of the layer in the box [m^D]."""
-        self.lost = 1.0 - self.volume / self.within(shape)
-        """Share of the layer that lies beyond the sides of the box."""
+        self.lower: Floats = np.array([low_x, low_z] if spatial else [low_x])  # least x, and z, of the layer [m]
+        self.upper: Floats = np.array([high_x, high_z] if spatial else [high_x])  # greatest [m]
+        self.volume = self.within(self.region)  # of the layer in the box [m^D]
+        self.lost = 1.0 - self.volume / self.within(shape)  # share of the layer that lies beyond the sides of the box
         require(self.volume > 0.0, f"{key}.thickness", "a layer with some thickness in the box", "none")
 
     def within(self, region: shapely.Geometry) -> float:

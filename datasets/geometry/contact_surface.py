@@ -27,16 +27,11 @@ PLACES = np.array([[u, v, 1.0 - u - v] for u in PARTS for v in PARTS if u + v <=
 class HeightField:
     """A raster of X times Z posts, linear on two triangles a cell (`datasets.geometry.ground.grid_triangles`)."""
 
-    x: Floats
-    """Of the posts [m], shape [X]: evenly apart but for one post at either end, far beyond the box."""
-    z: Floats
-    """[m], shape [Z]."""
-    heights: Floats
-    """[m], shape [X, Z]."""
-    friction: Floats
-    """Coulomb coefficient [-], shape [X, Z], or [1, 1] where it is one; inf without slip."""
-    solid: int
-    """Its number among the solids of its scene."""
+    x: Floats  # of the posts [m], shape [X]: evenly apart but for one post at either end, far beyond the box
+    z: Floats  # [m], shape [Z]
+    heights: Floats  # [m], shape [X, Z]
+    friction: Floats  # Coulomb coefficient [-], shape [X, Z], or [1, 1] where it is one; inf without slip
+    solid: int  # its number among the solids of its scene
 
     @property
     def steepest(self) -> float:
@@ -114,8 +109,7 @@ def contact_surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[st
     others = [index for index in range(len(solids)) if index != number]
     if not others:
         return ContactSurface(faces=Surface.empty(3), field=field)
-    bodies = [body_of(solids[index], keys[index], domain) for index in others]
-    surface = boundary(bodies, CLOSING * domain.cell)
+    surface = boundary([body_of(solids[index], keys[index], domain) for index in others], CLOSING * domain.cell)
     kept = near_box(surface, domain)
     down = np.flatnonzero(kept & (surface.normals[:, 1] < DOWNWARD))
     kept[down] = ~in_ground(surface.corners[down], field, domain)

@@ -32,26 +32,17 @@ class Inflow:
     """The particles of an inflow, N of them, and its section: the plane of `along` and `up` through `foot`."""
 
     domain: Domain
-    ground: tuple[Solid, ...] | None
-    """What the section stands on; None where it has an elevation of its own."""
-    hydrograph: Floats
-    """Times [s], discharges [m^D/s] and speeds [m/s], shape [R, 3]."""
-    volume: float
-    """Of all that enters [m^D]."""
-    time: Floats
-    """When each particle enters [s], shape [N], ascending."""
-    level: Floats
-    """How high the surface is above the foot then [m], shape [N]."""
-    foot: Floats
-    """The middle of the foot [m], shape [3]."""
-    flow: Floats
-    """Unit vectors, shape [3]: of the velocity, along the foot, and upwards across both."""
-    along: Floats
-    up: Floats
-    width: float
-    """Length of the foot [m]."""
-    bed: Floats
-    """Height of the ground above the foot in strips along it [m], shape [S]."""
+    ground: tuple[Solid, ...] | None  # what the section stands on; None where it has an elevation of its own
+    hydrograph: Floats  # times [s], discharges [m^D/s] and speeds [m/s], shape [R, 3]
+    volume: float  # of all that enters [m^D]
+    time: Floats  # when each particle enters [s], shape [N], ascending
+    level: Floats  # how high the surface is above the foot then [m], shape [N]
+    foot: Floats  # the middle of the foot [m], shape [3]
+    flow: Floats  # unit vector of the velocity, shape [3]
+    along: Floats  # along the foot
+    up: Floats  # upwards across both
+    width: float  # length of the foot [m]
+    bed: Floats  # height of the ground above the foot in strips along it [m], shape [S]
 
     @property
     def depth(self) -> float:

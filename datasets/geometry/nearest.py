@@ -22,14 +22,10 @@ INTERIOR = 1.0e-12  # share of a face within which a foot lies on its rim
 class Nearest(NamedTuple):
     """The nearest places of a surface for N points in D dimensions."""
 
-    distance: Floats
-    """Signed distance [m], negative inside the solid, shape [N]."""
-    foot: Floats
-    """The nearest place [m], shape [N, D]."""
-    normal: Floats
-    """Unit vector out of the solid at the foot: along the offset, on the surface the pseudonormal; shape [N, D]."""
-    face: Integers
-    """The face that the foot lies on, shape [N]."""
+    distance: Floats  # signed distance [m], negative inside the solid, shape [N]
+    foot: Floats  # the nearest place [m], shape [N, D]
+    normal: Floats  # out of the solid at the foot: along the offset, on the surface the pseudonormal; shape [N, D]
+    face: Integers  # the face that the foot lies on, shape [N]
 
 
 def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest:

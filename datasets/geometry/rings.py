@@ -122,8 +122,7 @@ def check_near_corners(shapes: list[Polygon], keys: list[str], near: float) -> N
         between = shapely.shortest_line(one, other).centroid
         thirds = (shape for number, shape in enumerate(shapes) if number not in (first, second))
         if not any(third.intersects(between) for third in thirds):
-            where = f"in a point but for {apart:.2g} m"
-            raise meet(keys[first], keys[second], "an edge", where)
+            raise meet(keys[first], keys[second], "an edge", f"in a point but for {apart:.2g} m")
 
 
 def friction_at(body: Body, positions: Floats) -> Floats:

@@ -39,18 +39,12 @@ FACES = {2: ring(4), 3: np.array(SIDES)}  # their faces, outwards
 class Surface:
     """The boundary of the union of all solids of a scene; F faces in D dimensions."""
 
-    corners: Floats
-    """Ends of segments, the solid on the left, or corners of triangles, anticlockwise from outside [m], [F, D, D]."""
-    normals: Floats
-    """Outward unit normals, shape [F, D]."""
-    corner_normals: Floats
-    """Pseudonormals at the corners, of unit length, shape [F, D, D]."""
-    edge_normals: Floats
-    """Pseudonormals of the edges of triangles, shape [F, 3, 3]; edge k joins corners k and k + 1. [F, 0, 2] in 2D."""
-    solid: NDArray[np.int32]
-    """The solid that each face belongs to: first the scene's baffles, then its solids; shape [F]."""
-    friction: Floats
-    """Coulomb coefficient at the corners [-], linear between them; inf without slip; shape [F, D]."""
+    corners: Floats  # of segments, the solid on the left, or triangles, anticlockwise from outside [m], [F, D, D]
+    normals: Floats  # outward unit normals, shape [F, D]
+    corner_normals: Floats  # pseudonormals at the corners, of unit length, shape [F, D, D]
+    edge_normals: Floats  # the same of edges of triangles, [F, 3, 3], k from corner k to k + 1; in 2D [F, 0, 2]
+    solid: NDArray[np.int32]  # which each face belongs to: first the scene's baffles, then its solids; shape [F]
+    friction: Floats  # Coulomb coefficient at the corners [-], linear between them; inf without slip; shape [F, D]
 
     @classmethod
     def empty(cls, dimension: int) -> "Surface":

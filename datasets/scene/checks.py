@@ -85,8 +85,7 @@ def check(scene: SceneLayout) -> None:
             check_vector(getattr(box, name), f"{key}.{name}", dimension)
         extents = zip(box.lower, box.size, domain.size, strict=True)
         inside = all(low >= -TOLERANCE and low + size <= limit + TOLERANCE for low, size, limit in extents)
-        got = f"{list(box.lower)} + {list(box.size)}"
-        require(inside, key, f"a box inside the domain {list(domain.size)}", got)
+        require(inside, key, f"a box inside the domain {list(domain.size)}", f"{list(box.lower)} + {list(box.size)}")
     sticks = [scene.friction_of(baffle) == ROUGH for baffle in scene.baffles]
     sticks += [solid.contact != "coulomb" for solid in scene.solids]
     for (key, solid), stuck in zip(keyed(scene, "baffles", "solids").items(), sticks, strict=True):
@@ -182,8 +181,7 @@ def check_water(scene: SceneLayout) -> None:
         require(not enters, "masses", "no inflow in a scene with saturated material", "one")
         keeps = scene.volume_correction is not False
         require(keeps, "volume_correction", "true or none beside saturated material", "false")
-    alone = water.level is None or water.table is None
-    require(alone, "water.table", "none beside a level", "one")
+    require(water.level is None or water.table is None, "water.table", "none beside a level", "one")
     for name in ("origin", "spacing"):
         gridded = water.table is not None and scene.dimension == 3
         expected = "x and z of a table in 3D, and only of that"

@@ -15,12 +15,9 @@ from datasets.scene import INFLOW, TOLERANCE, Mass, Scene, keyed
 from datasets.scene.grid_field import FRICTION, THICKNESS, Floats
 from datasets.scene.material import Material
 
-PARTICLE = 60
-"""Bytes that a particle takes while it is made, over the square of the dimensions."""
-ROUNDING = 1.0e-13
-"""Relative difference up to which two volumes are the same number."""
-RESOLVED = (3.0, 4.0)
-"""Cells across a body that a warning recommends."""
+PARTICLE = 60  # bytes that a particle takes while it is made, over the square of the dimensions
+ROUNDING = 1.0e-13  # relative difference up to which two volumes are the same number
+RESOLVED = (3.0, 4.0)  # cells across a body that a warning recommends
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,8 +210,7 @@ def stretches(scene: Scene) -> list[Floats]:
 def mass_volumes(scene: Scene) -> Floats:
     """Volume of each mass [m^D], that of its shape, of a layer with a field of thickness of its particles; [masses]."""
     volumes = (math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses)
-    means = [float(stretch.mean()) for stretch in stretches(scene)]
-    return np.asarray(np.fromiter(volumes, np.float64) * means)
+    return np.asarray(np.fromiter(volumes, np.float64) * [float(stretch.mean()) for stretch in stretches(scene)])
 
 
 def particle_count(scene: Scene) -> int:
