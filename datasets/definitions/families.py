@@ -43,7 +43,7 @@ import numpy as np
 from datasets.definitions.definition import Definition, Split, Storage, Stream
 from datasets.definitions.distributions import OPTIONS, drawn
 from datasets.definitions.held_out import boxes, is_held_out
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.files import read_toml
 from datasets.geometry.ground import elevation, plan_axes
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
@@ -243,8 +243,7 @@ def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[
         near = sketch["aside"] * (plan[1] - across)
         outline = ((left, near), (left + length, near), (left + length, near + across), (left, near + across))
     thickness = sketch["volume"] / (length * across)
-    if thickness > sheet.get("thickest", 1.0):
-        raise InputError("expected a layer that is not thicker")
+    require(thickness <= sheet.get("thickest", 1.0), "", "a layer that is not thicker", thickness)
     velocity = tuple(sheet.get("velocity", ())) or None
     return (Mass(kind="layer", thickness=thickness, outline=outline, velocity=velocity),), thickness
 
@@ -256,8 +255,7 @@ def baffles_of(
     front, given, baffles = max(map(furthest, masses)), sketch["baffles"] or {"count": 0}, list[Baffle]()
     if sketch["rows"]:
         baffles = rows_of(sketch["rows"], masses[0], sketch["turned"])
-        if not apart(baffles, front, sketch["gap"]):
-            raise InputError("expected baffles that stand apart")
+        require(apart(baffles, front, sketch["gap"]), "", "baffles that stand apart", "others")
         return tuple(baffles)
     count = drawn(given["count"], stream, {}, ())
     for _ in range(TRIES):
@@ -311,8 +309,7 @@ def variant(stream: Stream, scene: Scene) -> Scene:
         level = plan_axes(scene.dimension)
         lower[level] += stream.uniform(0.01, 0.05, len(level)) * stream.choice([-1.0, 1.0], len(level))
         baffles[number] = dataclasses.replace(baffles[number], lower=tuple(lower.tolist()))
-        if not apart(baffles, max(map(furthest, scene.masses)), 0.02):
-            raise InputError("expected baffles that stand apart")
+        require(apart(baffles, max(map(furthest, scene.masses)), 0.02), "", "baffles that stand apart", "others")
         return dataclasses.replace(scene, baffles=tuple(baffles))
     if change < 0.5 and any(mass.velocity for mass in scene.masses):
         faster = [(v[0] + float(stream.normal(0.0, 0.3)), *v[1:]) for mass in scene.masses if (v := mass.velocity)]

@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets.geometry.closed import pseudonormals
 from datasets.geometry.ground import CLOSING, TOUCHING, Floats, grid_triangles, interpolated
 from datasets.geometry.ground import ground_grid as grid_of
-from datasets.geometry.surface import Surface, body_of, boundary, near_box, solids_of, surface_in, without_slip
+from datasets.geometry.surface import Surface, solids_of, surface_in
 from datasets.scene.parts import Domain, SceneLayout, Solid
 
 DOWNWARD = -0.5  # upward component of the normal of faces that a solid stands on, where they lie in the ground
@@ -109,20 +108,13 @@ def contact_surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[st
     others = [index for index in range(len(solids)) if index != number]
     if not others:
         return ContactSurface(faces=Surface.empty(3), field=field)
-    surface = boundary([body_of(solids[index], keys[index], domain) for index in others], CLOSING * domain.cell)
-    kept = near_box(surface, domain)
-    down = np.flatnonzero(kept & (surface.normals[:, 1] < DOWNWARD))
-    kept[down] = ~in_ground(surface.corners[down], field, domain)
-    surface = surface.chosen(kept)
-    faces = without_slip(replace(surface, solid=np.array(others, np.int32)[surface.solid]), solids)
-    return ContactSurface(faces=faces, field=field)
-
-
-def in_ground(corners: Floats, field: HeightField, domain: Domain) -> NDArray[np.bool_]:
-    """Whether triangles with `corners` [m], shape [F, 3, 3], lie on the ground or in it, shape [F]."""
-    places = np.einsum("pc,fcd->fpd", PLACES, corners)
+    surface = surface_in(domain, *(tuple(given[index] for index in others) for given in (solids, keys)))
+    down, kept = np.flatnonzero(surface.normals[:, 1] < DOWNWARD), np.full(len(surface.solid), True)
+    places = np.einsum("pc,fcd->fpd", PLACES, surface.corners[down])
     above = places[:, :, 1] - field.elevation(places.reshape(-1, 3)).reshape(places.shape[:2])
-    return np.asarray((above <= CLOSING * domain.cell).all(axis=1))
+    kept[down] = (above > CLOSING * domain.cell).any(axis=1)  # but for those on the ground or in it
+    faces = surface.chosen(kept)
+    return ContactSurface(faces=replace(faces, solid=np.array(others, np.int32)[faces.solid]), field=field)
 
 
 def height_field(solid: Solid, key: str, number: int, domain: Domain) -> HeightField:

@@ -85,23 +85,14 @@ def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
 
 @lru_cache(maxsize=8)
 def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...]) -> Surface:
-    """The surface of `solids` in a box; errors name the keys."""
+    """The surface of `solids` in a box and some cells beyond, inf friction without slip; errors name the keys."""
     bodies = [body_of(*solid_and_key, domain) for solid_and_key in zip(solids, keys, strict=True)]
     surface = boundary(bodies, CLOSING * domain.cell)
-    return without_slip(surface.chosen(near_box(surface, domain)), solids)
-
-
-def without_slip(surface: Surface, solids: tuple[Solid, ...]) -> Surface:
-    """A surface whose faces have infinite friction where nothing slides on their solid."""
-    surface.friction[np.array([solid.contact == "no-slip" for solid in solids])[surface.solid]] = np.inf
-    return surface
-
-
-def near_box(surface: Surface, domain: Domain) -> NDArray[np.bool_]:
-    """Which faces lie in the box or up to some cells beyond, shape [F]."""
     margin, high = KEPT * domain.cell, np.array(domain.size)
     low, top = surface.corners.min(axis=1), surface.corners.max(axis=1)
-    return np.asarray(((top >= -margin) & (low <= high + margin)).all(axis=1))
+    surface = surface.chosen(((top >= -margin) & (low <= high + margin)).all(axis=1))
+    surface.friction[np.array([solid.contact == "no-slip" for solid in solids])[surface.solid]] = np.inf
+    return surface
 
 
 def boundary(bodies: list[Body], gap: float) -> Surface:
@@ -204,5 +195,4 @@ def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
     if height.max() > 0.0:
         within = (cut_ring if planar else cut_surface)(within, axis, limit, out)
         within = replace(within, vertices=snapped(within.vertices, axis, limit))
-    lengthened = (lengthened_ring if planar else lengthened_surface)(within, axis, limit, out * BEYOND * box.cell)
-    return lengthened or body
+    return (lengthened_ring if planar else lengthened_surface)(within, axis, limit, out * BEYOND * box.cell) or body
