@@ -16,9 +16,9 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from datasets.errors import InputError, naming, shortened
+from datasets.errors import InputError, naming, require, shortened
 from datasets.memory import spoken
 
 PART = ".part-"  # what the names of files begin with that are still being written
@@ -36,8 +36,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` to write to; it becomes `path` if the block succeeds, else it goes. An
     OSError names `path`. Raises InputError where a folder has its name, or a file that of its folder."""
     part = path
-    if path.is_dir():
-        raise InputError("expected the name of a file to write, got a folder", where=str(path))
+    require(not path.is_dir(), "", "the name of a file to write, got a folder", where=str(path))
     try:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -127,11 +126,10 @@ def file_size(path: Path, what: str, *, most: int | None = None) -> int:
         raise InputError(f"expected {what}, there is no such file", where=str(path)) from None
     except (OSError, ValueError) as error:
         raise InputError(f"expected {what}, {line_of(error)}", where=str(path)) from None
-    if not stat.S_ISREG(status.st_mode):
-        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
-        raise InputError(f"expected {what}, got {kind}", where=str(path))
-    if most is not None and status.st_size > most:
-        raise InputError(f"expected {what} of at most {spoken(most)}, got {spoken(status.st_size)}", where=str(path))
+    kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
+    require(stat.S_ISREG(status.st_mode), "", what, kind, where=str(path))
+    few = most is None or status.st_size <= most
+    require(few, "", f"{what} of at most {spoken(most or 0)}", spoken(status.st_size), where=str(path))
     return status.st_size
 
 
@@ -197,6 +195,5 @@ def json_object(text: str, key: str = "") -> dict[str, Any]:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"expected readable JSON, {line_of(error)}", key=key) from None
-    if not isinstance(content, dict):
-        raise InputError("expected a JSON object", key=key)
-    return content
+    require(isinstance(content, dict), key, "a JSON object")
+    return cast(dict[str, Any], content)

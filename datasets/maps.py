@@ -32,7 +32,7 @@ from shapely.geometry.polygon import orient
 from tqdm import tqdm
 
 from datasets.command_line import run
-from datasets.errors import InputError, naming, require
+from datasets.errors import naming, require
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.flow.fields import FlowFields
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_file
@@ -98,8 +98,7 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     if threshold is None:
         threshold = min(fields.spacing, 0.5 * min(least_thickness(mass) for mass in scene.masses))
     require(threshold > 0.0, "--threshold", "a thickness above 0 m", f"{threshold:g}")
-    if scene.dimension == 2:
-        raise InputError("expected a trajectory in 3D, a flow in 2D has no plan")
+    require(scene.dimension == 3, "", "a trajectory in 3D, a flow in 2D has no plan")
     sides, least = scene.domain.size[::2], scene.particle_spacing
     expected = f"a length from {least:g} m, the spacing of the particles, to {min(sides):g} m, the box"
     require(least * (1.0 - 1.0e-9) <= cell <= min(sides), "--cell", expected, f"{cell:g} m")
@@ -118,13 +117,12 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     last, here = trajectory.positions[-1], trajectory.entered(float(trajectory.time[-1]))
     inside = ((last >= limits[0]) & (last <= limits[1])).all(axis=1) & here
     corner, crs = map_corner(scene)
-    steep = np.hypot(*slopes_in_plan(scene, grid))
     return PlanMaps(
         grid=grid,
         thickness=sums[..., 0] / cell**2,
         start=start,
         depth=depth.reshape(grid.nodes),
-        normal_depth=depth.reshape(grid.nodes) / np.hypot(1.0, steep),
+        normal_depth=depth.reshape(grid.nodes) / np.hypot(1.0, np.hypot(*slopes_in_plan(scene, grid))),
         velocity=fastest.reshape(grid.nodes) if known else None,
         arrival=arrival.reshape(grid.nodes),
         ground=ground(scene, grid) + float(scene.domain.corner[1]),
@@ -154,10 +152,9 @@ def plan_sums(
             count = min(max(math.ceil(moved / cell), 1), BETWEEN)
         for share in np.arange(1, count + 1) / count:
             time = begin + share * (end - begin)
-            volumes = np.where(flow.entered(time), flow.volumes, 0.0)
             motion = (places, there), (velocity, faster), share, end - begin
             sums.reshape(-1, 4)[touched[:used]] = 0.0
-            used = add_to_plan(*motion, volumes, limits, cell, sums, touched)
+            used = add_to_plan(*motion, np.where(flow.entered(time), flow.volumes, 0.0), limits, cell, sums, touched)
             yield time, touched[:used], known
         begin, places, velocity = end, there, faster
 
@@ -290,8 +287,7 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequ
     draw_maps(folder / "maps.png", maps)
     write_outlines(folder / "outline.geojson", maps, outlines)
     # Single particles that rolled on are islands of their own.
-    deposit = outlines["deposit", maps.threshold].geoms
-    largest = max(deposit, key=lambda polygon: polygon.area, default=None)
+    largest = max(outlines["deposit", maps.threshold].geoms, key=lambda polygon: polygon.area, default=None)
     said = {
         "time": float(trajectory.time[-1]),
         "cell": maps.cell,

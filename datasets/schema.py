@@ -209,8 +209,7 @@ def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
         for name in table:
             if not users[name]:
                 raise InputError(unknown_key(name, [*chain(*keys.values())]), key=name)
-        if "kind" not in table:
-            raise InputError("expected a value, the key is missing", key="kind")
+        require("kind" in table, "kind", "a value, the key is missing")
         kind = table["kind"]
         require(kind in kinds, "kind", f"one of {', '.join(kinds)}", repr(kind))
         for name in table:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from datasets.command_line import run
 from datasets.errors import naming, require
-from datasets.exchange.map_box import ROUNDING, largest, whole_cells
+from datasets.exchange.map_box import ROUNDING, filled, largest, whole_cells
 from datasets.files import write_text
 from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.grid_field import Floats
@@ -193,7 +193,9 @@ def steepness(raster: "Raster", x: Floats, z: Floats) -> Floats:
     from scipy.ndimage import map_coordinates
 
     slopes = [slope_along(raster.values, axis, spacing) for axis, spacing in enumerate(raster.spacing)]
-    steep = filled(np.where(np.isnan(raster.values), np.nan, np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)), raster)
+    steep = filled(
+        np.where(np.isnan(raster.values), np.nan, np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)), raster.spacing
+    )
     places = [(at - own[0]) / step for at, own, step in zip((x, z), (raster.x, raster.z), raster.spacing, strict=True)]
     return np.asarray(map_coordinates(steep, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"))
 
@@ -204,15 +206,6 @@ def slope_along(values: Floats, axis: int, spacing: float) -> Floats:
     slope = np.diff(values, axis=axis) / spacing
     both = np.stack([np.concatenate([none, slope], axis), np.concatenate([slope, none], axis)])
     return np.asarray(np.nansum(both, axis=0) / np.maximum(np.isfinite(both).sum(axis=0), 1))
-
-
-def filled(values: Floats, raster: "Raster") -> Floats:
-    """`values` at the posts of a raster [X, Z], holes with those of the nearest posts."""
-    from scipy.ndimage import distance_transform_edt
-
-    holes = np.isnan(values)
-    nearest = distance_transform_edt(holes, sampling=raster.spacing, return_distances=False, return_indices=True)
-    return np.asarray(values[tuple(nearest)])
 
 
 def reached(raster: "Raster", release: NDArray[np.bool_], top: float, slope: float) -> tuple[Floats, Floats]:
@@ -233,7 +226,11 @@ def without_holes(raster: "Raster", domain: dict[str, Any]) -> Floats | None:
     """The values [X, Z] with those of the nearest posts in holes; None where no hole lies in the box of a scene."""
     sides = zip((raster.x, raster.z), raster.spacing, domain["origin"][::2], domain["size"][::2], strict=True)
     within = [(axis > low - step) & (axis < low + length + step) for axis, step, low, length in sides]
-    return filled(raster.values, raster) if (np.isnan(raster.values) & np.logical_and.outer(*within)).any() else None
+    return (
+        filled(raster.values, raster.spacing)
+        if (np.isnan(raster.values) & np.logical_and.outer(*within)).any()
+        else None
+    )
 
 
 def round_up(length: float) -> float:

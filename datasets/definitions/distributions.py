@@ -57,9 +57,8 @@ class DefinitionFile(Record):
 
 def definition_from_file(path: Path) -> Definition:
     """The definition in the TOML file at `path`, named as the file is. Raises InputError."""
-    if not NAME.fullmatch(path.stem):
-        expected = "expected a file name of letters, digits, - and _, which names the trajectories"
-        raise InputError(expected, where=str(path))
+    expected = "a file name of letters, digits, - and _, which names the trajectories"
+    require(NAME.fullmatch(path.stem) is not None, "", expected, where=str(path))
     with naming(path):
         content = from_mapping(DefinitionFile, read_toml(path))
 
@@ -69,11 +68,10 @@ def definition_from_file(path: Path) -> Definition:
 
     # A mistake is found before anything is simulated.
     draw(np.random.default_rng([0, 0]), 0)
-    held_out = {1: Split.VALID, 2: Split.TEST}
     return Definition(
         name=path.stem,
         size=content.count,
-        split=lambda index: held_out.get(index % content.split_period, Split.TRAIN),
+        split=lambda index: {1: Split.VALID, 2: Split.TEST}.get(index % content.split_period, Split.TRAIN),
         draw=draw,
     )
 

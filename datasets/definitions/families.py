@@ -151,8 +151,8 @@ def bodies_of(sketch: Numbers, sand: Material) -> tuple[tuple[Mass, ...], float]
         aspect, breadth = body["aspect"], body.get("breadth")
         length = (volume / (aspect * breadth)) ** (1 / 3) if breadth else math.sqrt(volume / (width or 1.0) / aspect)
         sizes.append((length, aspect * length, breadth * length if breadth else width))
-        if min(sizes[-1][:2]) < sketch["least_side"] or sizes[-1][2] > WIDEST:
-            raise InputError("expected a body that is not thinner, nor wider across the flow")
+        fits = min(sizes[-1][:2]) >= sketch["least_side"] and sizes[-1][2] <= WIDEST
+        require(fits, "", "a body that is not thinner, nor wider across the flow")
     width = max([width, *(0.1 * math.ceil(10.0 * size[2] - 1.0e-6) for size in sizes)])
     room = sketch["length"] - sketch["left"] - sum(size[0] for size in sizes) - sum(b.get("gap", 0.0) for b in bodies)
     x, masses = sketch["left"] + sketch["place"] * room, list[Mass]()
@@ -233,8 +233,8 @@ def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[
     if "cells" in sheet:
         length = math.sqrt(sketch["volume"] / (sheet["cells"] * sketch["cell"] * sheet["breadth"]))
         sheet = {**sheet, "across": sheet["breadth"] * length}
-        if sheet["across"] > plan[1] - 0.1 or left + length > 0.6 * plan[0]:
-            raise InputError("expected a layer that leaves room around it and ahead")
+        room = sheet["across"] <= plan[1] - 0.1 and left + length <= 0.6 * plan[0]
+        require(room, "", "a layer that leaves room around it and ahead")
     else:
         length = sheet["share"] * {**sketch["ground"], "": 1.0}[sheet.get("of", "")]
     outline: tuple[tuple[float, ...], ...] = ((left,), (left + length,))
@@ -243,7 +243,7 @@ def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[
         near = sketch["aside"] * (plan[1] - across)
         outline = ((left, near), (left + length, near), (left + length, near + across), (left, near + across))
     thickness = sketch["volume"] / (length * across)
-    require(thickness <= sheet.get("thickest", 1.0), "", "a layer that is not thicker", thickness)
+    require(thickness <= sheet.get("thickest", 1.0), "", "a layer that is not thicker")
     velocity = tuple(sheet.get("velocity", ())) or None
     return (Mass(kind="layer", thickness=thickness, outline=outline, velocity=velocity),), thickness
 
@@ -255,7 +255,7 @@ def baffles_of(
     front, given, baffles = max(map(furthest, masses)), sketch["baffles"] or {"count": 0}, list[Baffle]()
     if sketch["rows"]:
         baffles = rows_of(sketch["rows"], masses[0], sketch["turned"])
-        require(apart(baffles, front, sketch["gap"]), "", "baffles that stand apart", "others")
+        require(apart(baffles, front, sketch["gap"]), "", "baffles that stand apart")
         return tuple(baffles)
     count = drawn(given["count"], stream, {}, ())
     for _ in range(TRIES):
@@ -309,7 +309,7 @@ def variant(stream: Stream, scene: Scene) -> Scene:
         level = plan_axes(scene.dimension)
         lower[level] += stream.uniform(0.01, 0.05, len(level)) * stream.choice([-1.0, 1.0], len(level))
         baffles[number] = dataclasses.replace(baffles[number], lower=tuple(lower.tolist()))
-        require(apart(baffles, max(map(furthest, scene.masses)), 0.02), "", "baffles that stand apart", "others")
+        require(apart(baffles, max(map(furthest, scene.masses)), 0.02), "", "baffles that stand apart")
         return dataclasses.replace(scene, baffles=tuple(baffles))
     if change < 0.5 and any(mass.velocity for mass in scene.masses):
         faster = [(v[0] + float(stream.normal(0.0, 0.3)), *v[1:]) for mass in scene.masses if (v := mass.velocity)]

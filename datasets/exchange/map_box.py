@@ -104,6 +104,14 @@ def with_elevations(domain: Entry, data: Entry) -> Entry:
     return domain | box
 
 
+def filled(values: Floats, spacing: Sequence[float] | None = None) -> Floats:
+    """Values at posts `spacing` [m] apart, [X, Z], holes (NaN) with those of the nearest posts."""
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(np.isnan(values), spacing, return_distances=False, return_indices=True)
+    return np.asarray(values[tuple(nearest)])
+
+
 def entries(data: Entry, group: str) -> list[Entry]:
     """The tables of a group such as `masses`; what is none is left to the scene's own checks."""
     listed = data.get(group)

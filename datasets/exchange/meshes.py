@@ -29,8 +29,7 @@ def read_mesh(path: Path) -> tuple[Floats, Integers]:
     """Vertices [V, 3] and triangles [T, 3] of the outer surface of a mesh, those at one place one vertex. Vertices
     further apart are one where the surface is open without. Raises InputError, which names the file."""
     file_size(path, "a mesh", most=LARGEST)
-    if path.suffix.lower() not in MESHES:
-        raise InputError(f"expected a mesh, a file that ends in {' '.join(MESHES)}", where=str(path))
+    require(path.suffix.lower() in MESHES, "", f"a mesh, a file that ends in {' '.join(MESHES)}", where=str(path))
     with reading(path, "a readable mesh"):
         return triangles_in(path) if path.suffix.lower() in IN_PROCESS else read_apart(path)
 
@@ -59,9 +58,8 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
 def read_obj(path: Path) -> tuple[Floats, Integers]:
     """Vertices [V, 3] of a Wavefront OBJ, and its polygons end to end: how many corners each has, then these from 0.
     Raises InputError for corners that are no vertices, ValueError for what is no number."""
-    text = decoded(path.read_bytes(), errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
     vertices, polygons = list[list[float]](), list[list[int]]()
-    for line in text.splitlines():
+    for line in decoded(path.read_bytes(), errors="replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
         kind, *words = line.split("#", 1)[0].split() or [""]
         if kind == "v":
             vertices.append([float(word) for word in words[:3]])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError, keyed, naming, require
-from datasets.exchange.map_box import plan_around, posts_of, with_elevations
+from datasets.exchange.map_box import filled, plan_around, posts_of, with_elevations
 from datasets.exchange.meshes import read_mesh
 from datasets.exchange.spreadsheet import read_columns
 from datasets.geometry.ground import BEYOND, TOUCHING, Floats
@@ -175,8 +175,6 @@ class Reader:
     def around_box(self, axes: list[Floats], values: Floats) -> tuple[list[Floats], Floats]:
         """What of a terrain [X, Z] lies in and around the box, two values an axis at least; there without holes. Holes
         beyond the box have the elevation of the nearest value. Raises InputError for those in it."""
-        from scipy.ndimage import distance_transform_edt
-
         parts, margin = [], BEYOND * self.cell
         lower = (0.0, 0.0) if self.lower is None else self.lower
         for axis, start, length in zip(axes, lower, self.size[::2], strict=True):
@@ -197,8 +195,7 @@ class Reader:
             where = f"{len(missing)} cells without data, the first at x = {x[i]:.10g}, z = {z[k]:.10g}"
             raise InputError(f"expected a raster without holes in the box, got {where}")
         require(not holes.all(), "", "a raster with values around the box", "none")
-        nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
-        return axes, np.asarray(values[tuple(nearest)])
+        return axes, filled(values)
 
 
 def refuse(entry: Entry, names: tuple[str, ...], key: str, expected: str = "no such key without a file") -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import memory
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.files import file_size, reading, replacing
 
 # Most commands read NPZ alone.
@@ -177,8 +177,7 @@ def keys(archive: zipfile.ZipFile) -> list[str]:
 
 def member(archive: zipfile.ZipFile, key: str) -> zipfile.ZipInfo:
     """Where an array lies in an NPZ. Raises InputError where there is none."""
-    if key not in keys(archive):
-        raise InputError("expected an array, the key is missing", where=str(archive.filename), key=key)
+    require(key in keys(archive), key, "an array, the key is missing", where=str(archive.filename))
     return archive.getinfo(f"{key}.npy")
 
 
@@ -206,8 +205,7 @@ def plain_array(file: "h5py.File", key: str) -> "h5py.Dataset":
     import h5py
 
     array = file.get(key)
-    if not isinstance(array, h5py.Dataset) or array.dtype.kind not in "biuf":
-        raise InputError("expected an array of numbers", key=key)
+    require(isinstance(array, h5py.Dataset) and array.dtype.kind in "biuf", key, "an array of numbers")
     return array
 
 

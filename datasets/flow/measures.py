@@ -297,17 +297,15 @@ class Deposit:
     def errors(self, positions: Positions, volume: Volumes) -> Errors:
         """Those of another deposit of the same scene; thickness over a spacing where nothing lies in the box."""
         beyond = ends(positions, volume)[self.side] - self.front
-        apart = transport_distance(positions, volume, self.positions, self.volume)
         deposits = ((self.positions, self.volume), (positions, volume))
         raised = [above(places, self.ground) for places, _ in deposits]
         spacings = [particle_spacing(volumes, len(self.size)) for _, volumes in deposits]
         column = COLUMN * max(spacings)
         reference, other = (thickness(*pair, column, self.size[::2]) for pair in zip(raised, spacings, strict=True))
-        height = mean_height(raised[0], self.volume)
         return Errors(
             front=(beyond if self.side == 1 else -beyond) / self.extent,
-            profile=apart / self.extent,
-            height=mean_height(raised[1], volume) / height - 1.0,
+            profile=transport_distance(positions, volume, self.positions, self.volume) / self.extent,
+            height=mean_height(raised[1], volume) / mean_height(raised[0], self.volume) - 1.0,
             thickness=thickness_apart(reference, other) / (float(reference.max()) or max(spacings)),
             overlap=overlap(reference, other),
         )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, naming, require
+from datasets.errors import naming, require
 from datasets.files import FARTHEST, json_object
 from datasets.flow.array_files import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.scene import Scene, keyed
@@ -104,8 +104,7 @@ class Trajectory:
         if len(self.time) == 1:
             return self.scene.frame_dt
         steps = np.diff(self.time)
-        if np.ptp(steps) > 1.0e-6 * steps[0]:
-            raise InputError("expected frames evenly spaced in time, they are not", key="time")
+        require(bool(np.ptp(steps) <= 1.0e-6 * steps[0]), "time", "frames evenly spaced in time, they are not")
         return float((self.time[-1] - self.time[0]) / len(steps))
 
     def arrays(self) -> dict[str, NDArray[Any] | str]:
@@ -195,11 +194,10 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
         fits = bool(mass.min() >= 0 and mass.max() < len(scene.masses))
         expected = f"the index of one of {len(scene.masses)} masses for each of {particles} particles"
         require(fits, "mass", expected, "others")
-    summary = json_object(str(arrays.get("summary", "{}")), "summary")
     return Trajectory(
         positions=positions if lazily and positions.dtype == np.float32 else np.asarray(positions, np.float32),
         scene=scene,
-        summary=summary,
+        summary=json_object(str(arrays.get("summary", "{}")), "summary"),
         **{key: arrays[key].astype(kind, copy=False) for key, (kind, _) in STORED.items() if key in arrays},
     )
 

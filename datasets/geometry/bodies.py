@@ -268,9 +268,8 @@ class Plan:
         """Thickness [m] at places in plan, shape [N]: that of their cell, 0 beyond all cells."""
         if not self.edges:
             return np.full(len(plan), float(self.values))
-        padded = np.pad(self.values, 1)
         cells = (np.searchsorted(edges, plan[:, axis], side="right") for axis, edges in enumerate(self.edges))
-        return np.asarray(padded[tuple(cells)])
+        return np.asarray(np.pad(self.values, 1)[tuple(cells)])
 
 
 def height(scene: SceneLayout, mass: Mass) -> float:
@@ -282,10 +281,9 @@ def height(scene: SceneLayout, mass: Mass) -> float:
 
 def scene_height(scene: SceneLayout) -> float:
     """Of the material of all masses over one place in plan, at most [m]; air between them does not count."""
-    heights = [height(scene, mass) for mass in scene.masses]
     lower, size = (np.array([getattr(mass, key) for mass in scene.masses])[:, ::2] for key in ("lower", "size"))
     above = (np.abs(lower + 0.5 * size - (lower + 0.5 * size)[:, None]) <= 0.5 * size + TOLERANCE).all(axis=2)
-    return float((above @ np.array(heights)).max())
+    return float((above @ np.array([height(scene, mass) for mass in scene.masses])).max())
 
 
 def lattice_of(scene: SceneLayout, mass: Mass) -> Floats:

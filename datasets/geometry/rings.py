@@ -17,8 +17,7 @@ from datasets.geometry.ground import TOUCHING, Floats, Integers
 def check_simple(points: Floats, key: str) -> None:
     """Raise InputError unless `points` are the corners of a polygon that does not cross or touch itself."""
     twice = np.flatnonzero((points == np.roll(points, -1, axis=0)).all(axis=1))
-    if len(twice):
-        where = (int(twice[0]) + 1) % len(points)
+    for where in (twice[:1] + 1) % len(points):
         got = f"{points[where].tolist()} twice (the last joins the first by itself)"
         raise InputError(f"expected different vertices, got {got}", key=f"{key}[{where}]")
     polygon = Polygon(points)
@@ -34,8 +33,7 @@ def cut_ring(body: Body, axis: int, limit: float, out: float) -> Body:
     parts = [part for part in getattr(inside, "geoms", [inside]) if isinstance(part, Polygon) and part.area > 0.0]
     if not parts:
         raise outside_of_box(body)
-    if len(parts) > 1:
-        raise InputError("expected a solid of which one piece lies in the box", key=body.key)
+    require(len(parts) == 1, body.key, "a solid of which one piece lies in the box")
     kept = snapped(np.array(orient(parts[0]).exterior.coords)[:-1], axis, limit)
     return replace(body, vertices=kept, faces=ring(len(kept)), friction=friction_at(body, kept))
 

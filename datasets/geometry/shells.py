@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, require
+from datasets.errors import require
 from datasets.geometry.closed import NEARLY, POINTED, Body, meet, outside_of_box, pseudonormals
 from datasets.geometry.ground import Floats, Integers
 
@@ -37,8 +37,7 @@ def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, In
     fault = f"{opened} open edges" if opened else f"{odd} edges of three or more triangles"
     require(opened == odd == 0, key, "a closed surface", f"one with {fault}")
     body = manifold(vertices, triangles)
-    if body.status() != manifold3d.Error.NoError:
-        raise InputError("expected a closed surface whose triangles all face the same way", key=key)
+    require(body.status() == manifold3d.Error.NoError, key, "a closed surface whose triangles all face the same way")
     if body.volume() < 0.0:
         triangles = triangles[:, ::-1].copy()
         body = manifold(vertices, triangles)
@@ -103,8 +102,7 @@ def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers,
     parts, numbers = [], {}
     for number, body in enumerate(bodies):
         part = manifold(grown(body, gap) if body.grows else body.vertices, body.faces, body.friction).as_original()
-        if part.status() != manifold3d.Error.NoError:
-            raise InputError("expected a closed surface that does not cross itself", key=body.key)
+        require(part.status() == manifold3d.Error.NoError, body.key, "a closed surface that does not cross itself")
         parts.append(part)
         numbers[part.original_id()] = number
     check_lines(bodies, parts, gap)

@@ -80,8 +80,7 @@ def check(scene: SceneLayout) -> None:
     require(len(scene.masses) > 0, "masses", "at least one mass", "none")
     for key, box in keyed(scene, "masses", "baffles").items():
         for name in ("lower", "size"):
-            if getattr(box, name) == ():
-                raise InputError("expected a value, the key is missing", key=f"{key}.{name}")
+            require(getattr(box, name) != (), f"{key}.{name}", "a value, the key is missing")
             check_vector(getattr(box, name), f"{key}.{name}", dimension)
         extents = zip(box.lower, box.size, domain.size, strict=True)
         inside = all(low >= -TOLERANCE and low + size <= limit + TOLERANCE for low, size, limit in extents)
@@ -200,13 +199,12 @@ def check_water(scene: SceneLayout) -> None:
 
 def resting_load(scene: SceneLayout, mass: Mass) -> float:
     """Pressure [Pa] of the masses with a `k0` that are stacked on `mass`, at most, on its top."""
-    level = [axis for axis in range(scene.dimension) if axis != 1]
     load, top = 0.0, mass.lower[1] + mass.size[1]
     for above in sorted(scene.masses, key=lambda other: other.lower[1]):
         shared = all(
             above.lower[axis] < mass.lower[axis] + mass.size[axis] - TOLERANCE
             and mass.lower[axis] < above.lower[axis] + above.size[axis] - TOLERANCE
-            for axis in level
+            for axis in range(0, scene.dimension, 2)
         )
         if above.k0 is not None and shared and abs(above.lower[1] - top) <= TOLERANCE:
             load -= scene.material_of(above).density * scene.gravity_vector[1] * above.size[1]

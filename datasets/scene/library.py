@@ -17,7 +17,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, OutOfRange, naming, suggestion
+from datasets.errors import InputError, OutOfRange, naming, require, suggestion
 from datasets.exchange.scene_files import with_files
 from datasets.files import read_toml, write_text
 from datasets.scene import Scene
@@ -45,9 +45,8 @@ def find(name: str | Path, shelf: Path, what: str) -> Path:
     if name.endswith(".toml") or "/" in name:
         return Path(name)
     shipped = sorted(path.stem for path in shelf.glob("*.toml"))
-    if name not in shipped:
-        expected = f"the path of a {what} in TOML or a shipped name: {suggestion(name, shipped)}"
-        raise InputError(f"expected {expected}", where=name)
+    expected = f"the path of a {what} in TOML or a shipped name: {suggestion(name, shipped)}"
+    require(name in shipped, "", expected, where=name)
     return shelf / f"{name}.toml"
 
 
@@ -57,9 +56,8 @@ def read_scene(name: str | Path) -> Scene:
     path = find(name, SCENES, "scene")
     with naming(path):
         data = read_toml(path)
-        if "unknowns" in data:
-            takes = "python -m inverse and python -m validation.loop take it"
-            raise InputError(f"expected a scene, got a problem: {takes}", key="unknowns")
+        takes = "python -m inverse and python -m validation.loop take it"
+        require("unknowns" not in data, "unknowns", "a scene", f"a problem: {takes}")
         return scene_from(data, path.parent)
 
 
