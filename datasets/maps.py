@@ -87,13 +87,10 @@ class PlanMaps:
 
 
 def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = None, progress: bool = False) -> PlanMaps:
-    """The maps of `trajectory` over square cells of this edge [m]; the last may go beyond the box.
-
-    threshold: [m], above which a cell counts as covered; where absent a particle's spacing at the start, at most half
-    the least thickness that was released. Raises InputError for one that is not positive, for a flow in 2D, and for
-    cells that are finer than the particles, or longer than a side of the box. They lie where the origin of the box
-    says, else the first raster of the scene's terrain that knows.
-    """
+    """The maps of `trajectory` over square cells of this edge [m]; the last may go beyond the box. threshold: [m],
+    above which a cell counts as covered; else a particle's spacing, at most half the least thickness released. Raises
+    InputError for one that is not positive, for a flow in 2D, and for cells finer than the particles or longer than a
+    side of the box."""
     scene, fields, volumes = trajectory.scene, FlowFields(trajectory), trajectory.volumes
     if threshold is None:
         threshold = min(fields.spacing, 0.5 * min(least_thickness(mass) for mass in scene.masses))

@@ -61,12 +61,9 @@ def site(
     cell: float | None,
     internal_friction: float = 30.0,
 ) -> dict[str, Any]:
-    """The tables of a scene file without its terrain's path and its times; lengths in m on the map.
-
-    thickness: of all polygons, in the cells of a raster of its own, or as each polygon says; bed: `friction` of the
-    ground, and perhaps its `turbulence`; slope: of the energy line; internal_friction: of the material [deg]. Raises
-    InputError for a release that does not lie on the raster or has no thickness.
-    """
+    """The tables of a scene file without its terrain's path and its times; lengths in m on the map. thickness: of all
+    polygons, in a raster's cells, or None: as each polygon says; bed: its `friction`, perhaps `turbulence`; slope: of
+    the energy line. Raises InputError for a release beside the raster or without thickness."""
     given, field = (thickness, None) if isinstance(thickness, float) else (None, thickness)
     thick = [float(np.nanmax(field.values)) if field else thickness_of(feature, given) for feature in release]
     covered = np.zeros(raster.values.shape, bool)

@@ -91,11 +91,8 @@ def motion_statistics(positions: NDArray[np.floating], frame_dt: float) -> Motio
 
 
 def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistics: MotionStatistics) -> dict[str, Any]:
-    """The contents of `metadata.json` for a dataset of `entries`, which share the time between frames.
-
-    The box and the length are those of the largest; what differs between scenes is [smallest, largest].
-    name: of its definition; seed: where it was drawn; statistics: of the split of the first entry, the training's.
-    """
+    """The contents of `metadata.json` for a dataset of `entries`, which share the time between frames; what differs
+    between scenes is [smallest, largest]. seed: where it was drawn; statistics: of the split of the first entry."""
     scenes = [entry.scene for entry in entries]
     scene = scenes[0]
     materials = [asdict(member.material) for member in scenes]

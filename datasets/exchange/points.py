@@ -27,11 +27,8 @@ PROJECTED_SYSTEM, USER_DEFINED = 3072, 32767
 
 
 def read_points(path: Path, crs: str | None, low: Floats, high: Floats) -> Floats:
-    """Easting, northing and elevation [m] of the points between two corners of a plan [m], shape [2]; shape [N, 3].
-
-    Of a LAS those of the ground where any are classified so, else all but noise. crs: of the map, in which the points
-    are returned; a file that names none is in it. Raises InputError, which names the file.
-    """
+    """Easting, northing and elevation [m], [N, 3], of the points between two corners of a plan [m] in the system `crs`,
+    in which a file that names none is; of a LAS those of the ground, else all but noise. Raises InputError."""
     places, kinds = [], []
     for rows, classes in portions(path, crs):
         inside = ((rows[:, :2] > low) & (rows[:, :2] < high)).all(axis=1)

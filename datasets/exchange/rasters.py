@@ -63,11 +63,8 @@ class Raster(NamedTuple):
 
 
 def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
-    """A raster of one band whose rows run from west to east, in metres on the ground. Raises InputError.
-
-    Scale and offset of its band are applied. Values that no elevation or thickness has are no data, also where the file
-    does not say so, which a warning then does; of `coefficients`, which are no lengths, UNDECLARED ones alone.
-    """
+    """A raster of one band in metres on the ground, rows from west to east, scale and offset applied. Values that no
+    length has are no data, which a warning says; of `coefficients` UNDECLARED ones alone. Raises InputError."""
     with opened(path) as file:
         require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
         if file.driver == "AAIGrid":

@@ -137,11 +137,8 @@ class Reader:
 
     def field(self, path: Path, at: list[float] | None, name: str) -> Entry:
         """A raster as keys of a solid or a mass: of a terrain what lies in and around the box, of a layer where it is.
-
-        Its corner stands `at` a place [m], else where its file says in a scene in map coordinates, else beside the
-        terrain's, else at x = z = 0. Raises InputError for holes of a terrain in the box, and for another reference
-        system than the scene's.
-        """
+        Its corner stands `at` a place [m], else where its file says on a map, else beside the terrain's, else at x = z
+        = 0. Raises InputError for holes of a terrain in the box, and for another reference system."""
         # Half a second, which a scene without rasters does not wait.
         from datasets.exchange.rasters import read_raster, same_system
 

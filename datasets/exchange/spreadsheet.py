@@ -45,13 +45,10 @@ def read_columns(
     metres: float = 1.0,
     blanks: bool = False,
 ) -> dict[str, NDArray[np.float64]]:
-    """Columns of a table with a header, each of shape [R]: `needed` ones, then `optional` ones that are there.
-
-    others: whether the file may have more columns, of anything. metres: the length in which columns without a unit of
-    their own are, and in which those that have one are returned; times are in seconds. blanks: whether empty rows and
-    cells are NaN; else rows are left out, cells refused. Lines that begin with # are comments. Raises InputError, which
-    names the file.
-    """
+    """Columns of a table with a header, each of shape [R]: `needed` ones, then `optional` ones that are there; lines
+    that begin with # are comments. others: whether there may be more columns. metres: the length in which columns
+    without a unit are, and in which those with one are returned; times are in seconds. blanks: whether empty rows and
+    cells are NaN; else rows are left out, cells refused. Raises InputError, which names the file."""
     text = read_text(path, "a CSV", windows=True)
     with reading(path, "a readable CSV"):
         lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line[:1] != "#"]

@@ -62,12 +62,9 @@ def read_bounds(path: Path, crs: str | None) -> tuple[float, float, float, float
 
 
 def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Geometry, dict[str, Any], str]]:
-    """The shapes of a file, their attributes, names in lower case, and their layers, in the system `crs` in metres.
-
-    path: of the file, or of one layer of it as QGIS has it, FILE|layername=NAME. crs: of the map, as an authority's
-    code or in WKT; None of a map that names none, in which the file then is too. A file that names none is in that of
-    the map. Raises InputError.
-    """
+    """The shapes of a file, or of its layer in FILE|layername=NAME as QGIS has it, with their attributes, names in
+    lower case, and layers; in metres in the system `crs` of the map, in which a file that names none is. Raises
+    InputError."""
     import pyogrio
 
     name, _, chosen = str(path).partition(LAYER)

@@ -125,11 +125,9 @@ def frames_of(trajectory: Trajectory, every: int) -> list[int]:
 
 
 def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, progress: bool = False) -> None:
-    """Write `folder/trajectory.pvd` and the files that it refers to: every `every`-th frame, and the last.
-
-    Points are in map coordinates, in double precision, where the scene's box has an origin. An older series in the
-    folder stays whole until all files of the new one are written, then goes with all its frames. Raises WorkFailed.
-    """
+    """Write `folder/trajectory.pvd` and its files: every `every`-th frame, and the last; in map coordinates, in double
+    precision, where the box has an origin. An older series stays whole until the new one is written, then goes with all
+    its frames. Raises WorkFailed."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     series = ElementTree.Element("VTKFile", type="Collection", version="0.1", byte_order="LittleEndian")

@@ -112,11 +112,9 @@ def body_near(solid: Solid, key: str, domain: Domain, places: Floats) -> Body:
 
 
 def remembers_gaps(scene: SceneLayout) -> bool:
-    """Whether gaps between particles are remembered: as `volume_correction` says, or if sand may fall or splash.
-
-    It may where solids stand in its way, where a mass has a velocity, however slow (or an unknown velocity would cross
-    a jump), and where a body is in flight. A column that collapses on a flat floor keeps its volume without.
-    """
+    """Whether gaps between particles are remembered: as `volume_correction` says, else where sand may fall or splash:
+    beside solids, where a mass has a velocity, however slow (or an unknown velocity would cross a jump), and where a
+    body is in flight. A column that collapses on a flat floor keeps its volume without."""
     if scene.volume_correction is not None:
         return scene.volume_correction
     thrown = any(mass.kind == INFLOW or np.any(mass.velocity) or np.any(mass.angular_velocity) for mass in scene.masses)

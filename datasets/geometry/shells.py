@@ -140,10 +140,8 @@ def line_shared(
     one: manifold3d.Manifold, other: manifold3d.Manifold, others: list[manifold3d.Manifold], gap: float, narrow: float
 ) -> str:
     """Where two solids, grown by `gap` [m], share less than a face that is `narrow` gaps wide; empty where nowhere.
-
-    Those that share a face of width w then have a layer of the surface 2 w L in common, with L the length of its
-    diagonal; of an edge it is 8 gap L. What others cover by half does not count.
-    """
+    Those that share a face of width w then have a layer of the surface 2 w L in common, with L its diagonal; of an edge
+    it is 8 gap L. What others cover by half does not count."""
     for shared in (one ^ other).decompose():
         low, high = np.array(shared.bounding_box()).reshape(2, 3)
         length = float(np.linalg.norm(high - low))
