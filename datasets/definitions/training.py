@@ -27,13 +27,10 @@ MOVING_SPEED = 0.01
 def thin(
     positions: NDArray[np.floating], volume: float | NDArray[np.floating], *, cell: float, kept: int, rng: Stream
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Keep at random `kept` particles of each cell, those of more volume so much more often.
-
-    positions: initial positions [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N];
-    cell: edge of a cell [m]. The particles of a cell (all of them where it holds no more than `kept`) share its volume
-    equally. Two draws from `rng` keep different particles of the same flow, which augments the training data. Returns
-    the indices of those that stay, ascending, and the volume that each stands for [m^D], both of shape [n].
-    """
+    """Keep at random `kept` particles of each cell [m], those of more volume so much more often; they share its volume.
+    positions: [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N]. Two draws from `rng` keep
+    others of the same flow, which augments the training data. Returns the indices of those that stay, ascending, and
+    the volume that each stands for [m^D], both of shape [n]."""
     cells = np.floor(positions.astype(np.float64) / cell).astype(np.int64)
     cells -= cells.min(axis=0)
     group = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))

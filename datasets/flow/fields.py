@@ -93,11 +93,9 @@ class FlowFields:
         return measures.particle_spacing(self.trajectory.volumes, self.trajectory.scene.dimension)
 
     def velocity(self, frame: int) -> NDArray[np.float32] | None:
-        """Velocities at `frame` [m/s], shape [N, D]: as recorded, or else finite differences of the frames.
-
-        These are central; at the last frame backward; the first frame has the initial velocities where it is the start,
-        else there are none. So has a particle that enters after the frame before.
-        """
+        """Velocities at `frame` [m/s], shape [N, D]: as recorded, or else finite differences of the frames, central, at
+        the last frame backward. At the start, and of a particle that entered after the frame before, the initial ones;
+        None at a first frame that is not the start."""
         trajectory = self.trajectory
         if trajectory.velocities is not None:
             return np.asarray(trajectory.velocities[frame])
@@ -140,11 +138,8 @@ class FlowFields:
 
 
 def pairs(one: FlowFields, other: FlowFields) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Indices into both flows of the particles that began at the same place: all P of the one that has fewer.
-
-    Of as many particles those of a number, no farther apart than neighbours are: another jitter is the same particle.
-    None where some have no such partner.
-    """
+    """Indices into both flows of the particles that began at the same place: all of the one that has fewer; None where
+    some have no partner. Of as many those of a number, no farther apart than neighbours are: so is another jitter."""
     from scipy.spatial import cKDTree
 
     few, many = sorted((one, other), key=lambda flow: len(flow.start))

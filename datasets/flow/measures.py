@@ -318,11 +318,8 @@ def thickness_apart(one: Floats, other: Floats) -> float:
 
 
 def creep(positions: Positions, step: float) -> float:
-    """Speed of a deposit [m/s] in a run that goes on until `AFTER` times the duration of its flow.
-
-    The rms over the particles of how far it moves after the flow, over that time. positions: [m], shape [T, N, D];
-    step: between two of them [s].
-    """
+    """Speed of a deposit [m/s] in a run until `AFTER` times the duration of its flow: rms over the particles of how far
+    each moves after the flow, over that time. positions: [m], shape [T, N, D]; step: between two of them [s]."""
     steps = (len(positions) - 1) // AFTER
     return rms(np.linalg.norm(positions[-1] - positions[steps], axis=1)) / ((len(positions) - 1 - steps) * step)
 

@@ -151,11 +151,8 @@ class Trajectory:
 
 def open_trajectory(path: str | Path, *fields: str, sound: bool = False) -> Trajectory:
     """The trajectory at `path`, its positions read when they are used, without the summary and recorded fields but
-    `fields`, where they are there.
-
-    Of the positions the first and the last frame are checked; sound: all are, against the check sum of an NPZ, by who
-    uses frames from everywhere. Raises InputError, which names the file and the key.
-    """
+    `fields`, where they are there. Of the positions the first and the last frame are checked; sound: all are, against
+    the check sum of an NPZ. Raises InputError, which names the file and the key."""
     path = Path(path)
     needed = [key for key in REQUIRED if key != "positions"]
     arrays = read_arrays(path, *needed, optional=("volume", "mass", "entry_time", *fields))

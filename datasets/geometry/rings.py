@@ -106,10 +106,8 @@ def check_corners(
 
 
 def check_near_corners(shapes: list[Polygon], keys: list[str], near: float) -> None:
-    """Raise InputError where solids in 2D come within `near` [m] of each other in a point alone, as rounded corners do.
-
-    They do where the boundary of one is close to the other over less than `POINTED` times that; a third may cover it.
-    """
+    """Raise InputError where solids in 2D come within `near` [m] in a point alone, as rounded corners do: where the
+    boundary of one is close to the other over less than `POINTED` times that, unless a third covers it."""
     pairs = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=near)
     for first, second in pairs.T[pairs[0] < pairs[1]].tolist():
         one, other = shapes[first], shapes[second]
