@@ -221,7 +221,6 @@ def stored(path: Path, content: bytes, count: int = 1) -> Path:
 
 
 def objects(*parts: Any) -> bytes:
-    """The pickle of an array of these."""
     data = np.empty(len(parts), dtype=object)
     for index, part in enumerate(parts):
         data[index] = part

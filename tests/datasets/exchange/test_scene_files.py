@@ -38,7 +38,6 @@ LAYER = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
 
 
 def scene(folder: Path, text: str) -> Scene:
-    """The scene of `text`, read from a file in `folder`."""
     (folder / "scene.toml").write_text(text)
     return read_scene(str(folder / "scene.toml"))
 

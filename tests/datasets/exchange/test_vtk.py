@@ -43,7 +43,6 @@ def flow() -> Trajectory:
 
 
 def read(folder: Path) -> dict[float, list[pyvista.PolyData]]:
-    """The parts of each time."""
     reader = pyvista.get_reader(folder / "trajectory.pvd")
     series = {}
     for time in reader.time_values:

@@ -37,7 +37,6 @@ def flow(trajectory: Trajectory) -> Trajectory:
 
 @pytest.fixture(params=["trajectory.npz", "trajectory.h5"])
 def saved(flow: Trajectory, tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    """A trajectory on disk, in either format."""
     path = tmp_path / str(request.param)
     flow.save(str(path))
     return path

@@ -4,10 +4,11 @@ import manifold3d
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.geometry.surface import Surface, surface_of
+from datasets.geometry.surface import surface_of
 from datasets.scene import Baffle, Mass, Scene, Solid
 from tests import scenes
 
+surface = surface_of
 QUADS = ((1, 2, 3, 4), (5, 8, 7, 6), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 8, 4), (4, 8, 5, 1))
 """Of a cube, outwards."""
 CUBE = np.array([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1), (0, 1, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1)], float)
@@ -22,11 +23,6 @@ def scene_of(
     return scenes.scene_of(Mass(lower=body[0], size=body[1]), size=size, cell=cell, solids=solids, baffles=baffles)
 
 
-def surface(scene: Scene) -> Surface:
-    """The surface of a scene that has one."""
-    return surface_of(scene)
-
-
 def sphere(centre: tuple[float, ...], radius: float, segments: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices [V, 3] and triangles [T, 3] of a sphere with so many segments around."""
     mesh = manifold3d.Manifold.sphere(radius, segments).to_mesh64()
@@ -34,5 +30,4 @@ def sphere(centre: tuple[float, ...], radius: float, segments: int) -> tuple[NDA
 
 
 def as_rows(array: NDArray[np.generic]) -> tuple[tuple[float, ...], ...]:
-    """A matrix as a scene holds it."""
     return tuple(map(tuple, array.tolist()))
