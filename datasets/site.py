@@ -190,9 +190,8 @@ def steepness(raster: "Raster", x: Floats, z: Floats) -> Floats:
     from scipy.ndimage import map_coordinates
 
     slopes = [slope_along(raster.values, axis, spacing) for axis, spacing in enumerate(raster.spacing)]
-    steep = filled(
-        np.where(np.isnan(raster.values), np.nan, np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)), raster.spacing
-    )
+    steep = np.where(np.isnan(raster.values), np.nan, np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2))
+    steep = filled(steep, raster.spacing)
     places = [(at - own[0]) / step for at, own, step in zip((x, z), (raster.x, raster.z), raster.spacing, strict=True)]
     return np.asarray(map_coordinates(steep, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"))
 
@@ -223,11 +222,8 @@ def without_holes(raster: "Raster", domain: dict[str, Any]) -> Floats | None:
     """The values [X, Z] with those of the nearest posts in holes; None where no hole lies in the box of a scene."""
     sides = zip((raster.x, raster.z), raster.spacing, domain["origin"][::2], domain["size"][::2], strict=True)
     within = [(axis > low - step) & (axis < low + length + step) for axis, step, low, length in sides]
-    return (
-        filled(raster.values, raster.spacing)
-        if (np.isnan(raster.values) & np.logical_and.outer(*within)).any()
-        else None
-    )
+    holes = np.isnan(raster.values) & np.logical_and.outer(*within)
+    return filled(raster.values, raster.spacing) if holes.any() else None
 
 
 def round_up(length: float) -> float:

@@ -71,8 +71,6 @@ class Definition:
         count = self.size if count is None else count
         require(1 <= count <= self.size, "count", f"1 to {self.size} trajectories of {self.name}", count)
         require(seed >= 0, "seed", "an integer of at least 0", seed)
-        scenes = (self.draw(np.random.default_rng([seed, self.stream(index)]), index) for index in range(count))
-        return tuple(
-            Entry(split=self.split(index), name=f"{self.name}-{index:04d}", scene=scene)
-            for index, scene in enumerate(scenes)
-        )
+        draws = ((n, np.random.default_rng([seed, self.stream(n)])) for n in range(count))
+        entries = (Entry(split=self.split(n), name=f"{self.name}-{n:04d}", scene=self.draw(rng, n)) for n, rng in draws)
+        return tuple(entries)

@@ -28,6 +28,8 @@ LAYER = "|layername="  # between the name of a file and that of one of its layer
 MOST_DEGREES = 360.0
 """Coordinates beyond it are no degrees: GeoJSON without a reference system counts as degrees for GDAL."""
 
+Shape = tuple[shapely.Geometry, dict[str, Any], str]
+
 
 class Feature(NamedTuple):
     """A polygon with what the file says of it."""
@@ -61,7 +63,7 @@ def read_bounds(path: Path, crs: str | None) -> tuple[float, float, float, float
     return west, south, east, north
 
 
-def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Geometry, dict[str, Any], str]]:
+def read_shapes(path: Path, crs: str | None, what: str) -> list[Shape]:
     """The shapes of a file, or of its layer in FILE|layername=NAME as QGIS has it, with their attributes, names in
     lower case, and layers; in metres in the system `crs` of the map, in which a file that names none is. Raises
     InputError."""
@@ -81,9 +83,7 @@ def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Ge
     return [shape for layer in ([chosen] if chosen else layers) for shape in shapes_of(path, layer, crs, what)]
 
 
-def shapes_of(
-    path: Path, layer: str, crs: str | None, what: str
-) -> Iterator[tuple[shapely.Geometry, dict[str, Any], str]]:
+def shapes_of(path: Path, layer: str, crs: str | None, what: str) -> Iterator[Shape]:
     """What `read_shapes` says of one layer."""
     import pyogrio
 

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from datasets.errors import require
 from datasets.geometry.closed import Body
-from datasets.geometry.ground import TOUCHING, Floats, elevation, plan_axes
+from datasets.geometry.ground import TOUCHING, Floats, Solids, elevation, plan_axes
 from datasets.geometry.inflow import Inflow, inflow, until
 from datasets.geometry.rings import check_simple
 from datasets.geometry.shapes import check_grid, check_shape
 from datasets.geometry.shells import manifold, outward, sliced
 from datasets.memory import require as require_memory
-from datasets.scene.parts import INFLOW, TOLERANCE, Domain, Mass, SceneLayout, Solid, keyed
+from datasets.scene.parts import INFLOW, TOLERANCE, Domain, Mass, SceneLayout, keyed
 from datasets.schema import FARTHEST
 
 LATTICE = 40  # bytes that a coordinate of a lattice takes while it is made
@@ -95,7 +95,7 @@ def filling(scene: SceneLayout, mass: Mass, key: str = "masses") -> Filling:
 
 
 @lru_cache(maxsize=16)
-def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
+def fill(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Filling:
     """The particles of `mass` on a lattice of about `share` [m]. Raises InputError."""
     check_shape(mass, key, domain.dimension)
     if mass.kind == "layer":
@@ -113,7 +113,7 @@ def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, ke
     return filled
 
 
-def entering(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
+def entering(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Filling:
     """What flows in, where it enters; the box around it is as long as it is deep."""
     inlet = inflow(mass, domain, ground, share, key)
     places, size = inlet.places(), np.array(domain.size)
@@ -123,10 +123,7 @@ def entering(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float
     around = np.concatenate([places, places + inlet.depth * inlet.flow[: len(size)]]).clip(0.0, size)
     lower, spacing = np.minimum(around.min(axis=0), size - share), np.full(len(size), share)
     box: dict[str, Any] = {"lower": lower, "upper": np.maximum(around.max(axis=0), lower + share)}
-    nothing: dict[str, Any] = {
-        "contains": lambda places: places[:, 0] >= 0.0,
-        "cover": lambda places: 0.0 * places[:, 0],
-    }
+    nothing: dict[str, Any] = {"contains": lambda at: at[:, 0] >= 0.0, "cover": lambda at: 0.0 * at[:, 0]}
     return Filling(lattice=places, spacing=spacing, volume=inlet.volume, **box, **nothing, inflow=inlet)
 
 
@@ -169,7 +166,7 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     return Filling(lattice=lattice, spacing=spacing, volume=volume, lower=lower, upper=upper, contains=contains)
 
 
-def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
+def layer(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Filling:
     """A layer of given vertical thickness on the ground."""
     plan = Plan(mass, domain, key)
     level = plan_axes(domain.dimension)

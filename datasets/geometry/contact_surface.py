@@ -46,10 +46,8 @@ class HeightField:
     def around(self, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """x, z, heights and friction, both [X, Z], of the posts over a rectangle from `low` to `high` [m], shape [2].
         With the cells around them, so that the normals inside are those of the whole raster."""
-        ends = [
-            np.searchsorted(axis, (near - TOUCHING, far + TOUCHING)).tolist()
-            for axis, near, far in ((self.x, low[0], high[0]), (self.z, low[1], high[1]))
-        ]
+        sides = (self.x, low[0], high[0]), (self.z, low[1], high[1])
+        ends = [np.searchsorted(axis, (near - TOUCHING, far + TOUCHING)).tolist() for axis, near, far in sides]
         rows, columns = (slice(max(first - 2, 0), last + 2) for first, last in ends)
         friction = np.broadcast_to(self.friction, self.heights.shape)[rows, columns]
         return self.x[rows], self.z[columns], self.heights[rows, columns], friction

@@ -14,6 +14,7 @@ from datasets.scene.parts import Domain, SceneLayout, Solid, coefficient
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Solids = tuple[Solid, ...]
 
 BEYOND = 8.0
 """Cells by which a solid that reaches a side of the box goes on beyond it, so that none of its faces lies there."""
@@ -26,7 +27,7 @@ def plan_axes(dimension: int) -> list[int]:
     return list(range(0, dimension, 2))
 
 
-def elevation(solids: tuple[Solid, ...], domain: Domain, plan: Floats) -> Floats:
+def elevation(solids: Solids, domain: Domain, plan: Floats) -> Floats:
     """Elevation [m] of the highest terrain, or of the floor y = 0, at places in plan [m], [N, D - 1]; shape [N]."""
     return highest(solids, domain, plan, 0.0)[0]
 
@@ -34,10 +35,8 @@ def elevation(solids: tuple[Solid, ...], domain: Domain, plan: Floats) -> Floats
 def slopes_in_plan(scene: SceneLayout, grid: Grid) -> list[Floats]:
     """dh/dx and dh/dz [-] of `elevation` at the nodes of a grid in plan, both of shape [X, Z]; 0 along a single row."""
     heights = elevation(scene.solids, scene.domain, grid.positions).reshape(grid.nodes)
-    return [
-        np.gradient(heights, step, axis=axis) if heights.shape[axis] > 1 else np.zeros(grid.nodes)
-        for axis, step in enumerate(grid.spacing)
-    ]
+    rows = enumerate(zip(grid.spacing, grid.nodes, strict=True))
+    return [np.gradient(heights, step, axis=axis) if n > 1 else np.zeros_like(heights) for axis, (step, n) in rows]
 
 
 def ground_raster(scene: SceneLayout, spacing: float) -> tuple[Floats, Floats, Integers]:
@@ -63,9 +62,7 @@ def turbulence_raster(scene: SceneLayout, spacing: float) -> Floats | None:
     return ground_raster(replace(scene, solids=tuple(drags), floor_friction=0.0), spacing)[1]
 
 
-def highest(
-    solids: tuple[Solid, ...], domain: Domain, plan: Floats, floor_friction: float
-) -> tuple[Floats, Floats, Integers]:
+def highest(solids: Solids, domain: Domain, plan: Floats, floor_friction: float) -> tuple[Floats, Floats, Integers]:
     """Elevation [m], Coulomb coefficient [-] and number of the highest terrain at places in plan [m], [N, D - 1]. Each
     of shape [N]; where no terrain is above it, that of the floor y = 0, whose number is -1."""
     height, friction, top = np.zeros(len(plan)), np.full(len(plan), floor_friction), np.full(len(plan), -1)

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from datasets.errors import require
-from datasets.geometry.ground import TOUCHING, Floats, elevation, plan_axes
+from datasets.geometry.ground import TOUCHING, Floats, Solids, elevation, plan_axes
 from datasets.geometry.shapes import check_rows, check_vector
 from datasets.memory import require as require_memory
-from datasets.scene.parts import TOLERANCE, Domain, Mass, Rows, Solid
+from datasets.scene.parts import TOLERANCE, Domain, Mass, Rows
 
 STEPS = {2: (0.0, 0.6180339887498949), 3: (0.7548776662466927, 0.5698402909980532)}
 """From particle to particle, by dimension: of the share of the area, 0 or 1 / g, and of that of the depth."""
@@ -32,7 +32,7 @@ class Inflow:
     """The particles of an inflow, N of them, and its section: the plane of `along` and `up` through `foot`."""
 
     domain: Domain
-    ground: tuple[Solid, ...] | None  # what the section stands on; None where it has an elevation of its own
+    ground: Solids | None  # what the section stands on; None where it has an elevation of its own
     hydrograph: Floats  # times [s], discharges [m^D/s] and speeds [m/s], shape [R, 3]
     volume: float  # of all that enters [m^D]
     time: Floats  # when each particle enters [s], shape [N], ascending
@@ -95,7 +95,7 @@ def until(hydrograph: Rows, end: float, key: str) -> Rows:
     return (*map(tuple, rows.T[time < end].tolist()), tuple(last))
 
 
-def inflow(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Inflow:
+def inflow(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Inflow:
     """What a mass of kind inflow brings, in particles of about `share` [m]. Raises InputError."""
     hydrograph = np.array(mass.hydrograph) * [1.0, mass.discharge_factor or 1.0, 1.0]
     level = plan_axes(domain.dimension)
@@ -145,7 +145,7 @@ def inflow(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, 
     return inlet
 
 
-def foot_of(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> tuple[Floats, bool]:
+def foot_of(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> tuple[Floats, bool]:
     """Both ends of the foot of a section [m], shape [2, 3], and whether it lies on the ground."""
     dimension, rows, key = domain.dimension, mass.section or (), f"{key}.section"
     grounded = bool(rows) and len(rows[0]) == dimension - 1
@@ -166,9 +166,7 @@ def foot_of(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float,
     return ends, grounded
 
 
-def direction_of(
-    mass: Mass, domain: Domain, ground: tuple[Solid, ...], line: Floats, along: Floats, key: str
-) -> Floats:
+def direction_of(mass: Mass, domain: Domain, ground: Solids, line: Floats, along: Floats, key: str) -> Floats:
     """The unit vector of the velocity, shape [3]: as given, else across the section, of which `line` are places [S, 3],
     and down along the ground beneath; on level ground the one whose x is larger."""
     key = f"{key}.direction"

@@ -22,9 +22,8 @@ from tests.scenes import flow_of
 
 def scene_of(size: tuple[float, ...], *boxes: tuple[tuple[float, ...], tuple[float, ...]], cell: float = 0.05) -> Scene:
     """Boxes of sand (lower corner, size) in a box."""
-    return scenes.scene_of(
-        *(Mass(lower=lower, size=extent) for lower, extent in boxes), size=size, cell=cell, frame_dt=0.1, jitter=0.0
-    )
+    masses = (Mass(lower=lower, size=extent) for lower, extent in boxes)
+    return scenes.scene_of(*masses, size=size, cell=cell, frame_dt=0.1, jitter=0.0)
 
 
 def sliding(scene: Scene) -> Trajectory:
@@ -176,9 +175,8 @@ def test_the_threshold_is_at_most_half_of_the_thinnest_layer(thickness: object, 
     """A layer of less than a spacing of particles has maps; beside it stands a thick mass."""
     extra = {"origin": (0.4, 0.2), "spacing": (0.2, 0.2)} if isinstance(thickness, tuple) else {}
     layer = Mass(kind="layer", thickness=thickness, outline=((0.3, 0.1), (0.7, 0.1), (0.7, 0.5), (0.3, 0.5)), **extra)
-    scene = scenes.scene_of(
-        layer, Mass(lower=(0.8, 0.0, 0.1), size=(0.1, 0.3, 0.1)), size=(1.0, 0.5, 0.6), cell=0.05, jitter=0.0
-    )
+    thick = Mass(lower=(0.8, 0.0, 0.1), size=(0.1, 0.3, 0.1))
+    scene = scenes.scene_of(layer, thick, size=(1.0, 0.5, 0.6), cell=0.05, jitter=0.0)
     maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
     assert maps.threshold == pytest.approx(threshold, rel=0.02)
     assert region_above(maps.grid, maps.thickness, threshold).bounds[0] == pytest.approx(0.3, abs=0.05)

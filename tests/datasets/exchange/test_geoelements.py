@@ -154,9 +154,8 @@ def test_every_solid_becomes_particles_that_stand() -> None:
     slope, spacing = Solid(kind="terrain", points=((0.0, 0.2), (1.0, 0.0))), 0.005
     roof = Solid(kind="polygon", vertices=((0.5, 0.2), (0.8, 0.2), (0.65, 0.35)))
     plate = Baffle(lower=(0.2, 0.3), size=(0.2, 0.004), turned_deg=30.0)
-    scene = scene_of(
-        Mass(lower=(0.05, 0.4), size=(0.1, 0.1)), size=(1.0, 0.6), cell=0.01, solids=(slope, roof), baffles=(plate,)
-    )
+    body = Mass(lower=(0.05, 0.4), size=(0.1, 0.1))
+    scene = scene_of(body, size=(1.0, 0.6), cell=0.01, solids=(slope, roof), baffles=(plate,))
     points = geoelements.obstacle_particles(scene)
     ground = 0.2 * (1.0 - points[:, 0]) - points[:, 1]
     below = points[ground > 0.0]
@@ -178,13 +177,9 @@ def test_solids_in_3d_become_particles_that_stand() -> None:
     terrain = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.5, 0.2), heights=heights)
     corners = ((0.6, 0.3, 0.1), (0.8, 0.3, 0.1), (0.6, 0.5, 0.1), (0.6, 0.3, 0.3))
     tetrahedron = Solid(kind="mesh", vertices=corners, triangles=((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)))
-    scene = scene_of(
-        Mass(lower=(0.05, 0.3, 0.1), size=(0.1, 0.1, 0.1)),
-        size=(1.0, 0.6, 0.4),
-        cell=0.04,
-        solids=(terrain, tetrahedron),
-        baffles=(Baffle(lower=(0.2, 0.3, 0.1), size=(0.1, 0.1, 0.1), turned_deg=45.0),),
-    )
+    body = Mass(lower=(0.05, 0.3, 0.1), size=(0.1, 0.1, 0.1))
+    turned = Baffle(lower=(0.2, 0.3, 0.1), size=(0.1, 0.1, 0.1), turned_deg=45.0)
+    scene = scene_of(body, size=(1.0, 0.6, 0.4), cell=0.04, solids=(terrain, tetrahedron), baffles=(turned,))
     points, spacing = geoelements.obstacle_particles(scene), 0.02
     x, y, z = points.T
     depth = 0.1 - 0.1 * x + 0.1 * z - y
@@ -196,7 +191,7 @@ def test_solids_in_3d_become_particles_that_stand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "expected"),
+    ("arguments", "said"),
     [
         (("--out", "o"), "one of --to and --from"),
         ((*TO, "--up", "z", "--out", "o"), "go with --from only"),
@@ -204,10 +199,8 @@ def test_solids_in_3d_become_particles_that_stand() -> None:
         ((*FROM, "--scene", "column-tall-42", "--out", "o"), "metadata.json"),
     ],
 )
-def test_mistakes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], expected: str
-) -> None:
-    assert expected in refused_by(capsys, command, tmp_path, *arguments)
+def test_mistakes(tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str) -> None:
+    assert said in refused_by(capsys, command, tmp_path, *arguments)
     assert "there is none" in refused_by(capsys, command, tmp_path / "absent", *TO, "--out", "o")
 
 

@@ -198,9 +198,7 @@ def test_a_pickle_is_refused_and_not_run(tmp_path: Path) -> None:
         ("summary", np.array("nonsense"), "JSON"),
     ],
 )
-def test_a_foreign_npz(
-    tmp_path: Path, trajectory: Trajectory, key: str, value: np.ndarray | None, expected: str
-) -> None:
+def test_a_foreign_npz(tmp_path: Path, trajectory: Trajectory, key: str, value: Any, expected: str) -> None:
     path = tmp_path / "trajectory.npz"
     trajectory.save(path)
     with np.load(path, allow_pickle=False) as file:
