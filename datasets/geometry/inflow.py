@@ -10,6 +10,7 @@ particles keep the distances of a lattice whatever speed and depth are. A sectio
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -130,16 +131,9 @@ def inflow(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -
     heights = np.sort(bed)
     heights = np.append(heights, heights[-1] + area.max() / width)
     areas = np.append(0.0, np.cumsum(width / strips * np.arange(1, strips + 1) * np.diff(heights)))
-    inlet = Inflow(
-        domain=domain,
-        ground=ground if grounded else None,
-        hydrograph=hydrograph,
-        volume=float(passed[-1]),
-        time=time,
-        level=np.interp(area, areas, heights),
-        **{"foot": foot, "flow": flow, "along": along, "up": up, "bed": bed},
-        width=width,
-    )
+    section: dict[str, Any] = {"foot": foot, "flow": flow, "along": along, "up": up, "bed": bed, "width": width}
+    enters: dict[str, Any] = {"volume": float(passed[-1]), "time": time, "level": np.interp(area, areas, heights)}
+    inlet = Inflow(domain=domain, ground=ground if grounded else None, hydrograph=hydrograph, **section, **enters)
     expected = f"a depth, discharge over speed and width, of at least a particle, {share:.3g} m"
     require(inlet.depth >= share, f"{key}.hydrograph", expected, f"{inlet.depth:.3g} m at most")
     return inlet

@@ -119,11 +119,9 @@ def remembers_gaps(scene: SceneLayout) -> bool:
         return scene.volume_correction
     thrown = any(mass.kind == INFLOW or np.any(mass.velocity) or np.any(mass.angular_velocity) for mass in scene.masses)
     thrown = thrown or any(np.any(field.values) for field in scene.fields if "velocity" in field.quantity)
-    return scene.gravity > 0.0 and (
-        thrown
-        or bool(scene.solids or scene.baffles)
-        or bool((heights_above_ground(scene) >= scene.domain.cell - TOLERANCE).any())
-    )
+    if scene.gravity <= 0.0 or thrown or scene.solids or scene.baffles:
+        return scene.gravity > 0.0
+    return bool((heights_above_ground(scene) >= scene.domain.cell - TOLERANCE).any())
 
 
 def heights_above_ground(scene: SceneLayout) -> Floats:

@@ -174,13 +174,9 @@ def raster_body(x: Floats, z: Floats, heights: Floats, friction: Floats, *, deep
     floor = np.stack([below, below_after, np.full(len(rim), len(top) + len(rim))], axis=1)
     centre = np.array([[0.5 * (x[0] + x[-1]), deep, 0.5 * (z[0] + z[-1])]])
     skirt = np.concatenate([np.stack([rim, after, below], axis=1), np.stack([after, below_after, below], axis=1)])
-    return Body(
-        vertices=np.concatenate([top, bottom, centre]),
-        faces=np.concatenate([grid_triangles(heights), skirt, floor]),
-        friction=np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]]),
-        key=key,
-        grows=False,
-    )
+    vertices, faces = np.concatenate([top, bottom, centre]), np.concatenate([grid_triangles(heights), skirt, floor])
+    friction = np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]])
+    return Body(vertices=vertices, faces=faces, friction=friction, key=key, grows=False)
 
 
 def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
