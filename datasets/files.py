@@ -66,8 +66,7 @@ def flush(path: Path) -> None:
     try:
         os.fsync(handle)
     except OSError as error:
-        # Some file systems of a network have no such call for folders.
-        if error.errno != errno.EINVAL:
+        if error.errno != errno.EINVAL:  # some file systems of a network have no such call for folders
             raise
     finally:
         os.close(handle)

@@ -49,8 +49,7 @@ def locked(folder: Path) -> Iterator[Path]:
         write_text(folder / HOLDER, who)
         yield folder
     finally:
-        # Those of its own processes, too, that a signal has ended.
-        remove_parts(folder)
+        remove_parts(folder)  # those of its own processes, too, that a signal has ended
         (folder / HOLDER).unlink(missing_ok=True)
         # While it is held: who waits for it sees that the name is gone, and begins anew.
         if lock.is_locked and isinstance(lock, UnixFileLock):

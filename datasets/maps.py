@@ -136,8 +136,7 @@ def plan_sums(
 ) -> Iterator[tuple[float, Integers, bool]]:
     """Times [s], the cells that have something then, and whether velocities are known; `sums` as of `add_to_plan`.
     Times are those of the frames and, where the flow crosses cells from one to the next, between."""
-    # Compiled: who asks for help does not wait for the compiler.
-    from datasets.flow.plan import add_to_plan
+    from datasets.flow.plan import add_to_plan  # compiled: who asks for help does not wait for the compiler
 
     flow, touched, used = fields.trajectory, np.zeros(sums[..., 0].size, np.int64), 0
     begin, places, velocity = moment(fields, 0)

@@ -92,8 +92,7 @@ def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
     try:
         return dict(zip(keys, types.validate_python(values), strict=True))
     except ValidationError:
-        # Few are of numpy, and large tables take long to walk through.
-        values = plain(values)
+        values = plain(values)  # few are of numpy, and large tables take long to walk through
     try:
         return dict(zip(keys, types.validate_python(values), strict=True))
     except ValidationError as error:

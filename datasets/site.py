@@ -31,8 +31,7 @@ from datasets.scene.library import scene_from
 from datasets.scene.particles import particle_count, released_volume
 from datasets.scene.stiffness import greatest_speed
 
-# GDAL and SciPy take half a second to import: --help needs neither.
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # GDAL and SciPy take half a second to import: --help needs neither
     from datasets.exchange.rasters import Raster
     from datasets.exchange.vectors import Feature
 
@@ -240,8 +239,7 @@ def least_of(given: float | Path, flag: str, expected: str, *, zero: bool) -> fl
         require(0.0 <= given < math.inf and (zero or given > 0.0), flag, expected, given)
         return given
     with naming(given, flag), warnings.catch_warnings():
-        # What is to be said of the file is said where the scene reads it.
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("ignore")  # what is to be said of the file is said where the scene reads it
         least = float(np.nanmin(read_raster(given, coefficients=True).values))
         require(least > 0.0 or (zero and least == 0.0), "", expected, least)
     return least

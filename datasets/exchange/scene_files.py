@@ -131,8 +131,7 @@ class Reader:
         counts = zip(axes, raster.values.shape, strict=True)
         within = [(axis > -0.5 - NEARLY) & (axis < n - 0.5 + NEARLY) for axis, n in counts]
         values[~np.logical_and.outer(*within)] = np.nan
-        # So that one value stays one.
-        values = np.round(self.around_box(posts, values)[1], 9)
+        values = np.round(self.around_box(posts, values)[1], 9)  # so that one value stays one
         return float(values[0, 0]) if np.ptp(values) == 0.0 else values.tolist()
 
     def field(self, path: Path, at: list[float] | None, name: str) -> Entry:
@@ -156,8 +155,7 @@ class Reader:
             axes, values = self.around_box(axes, values)
             self.offset = offset if terrain and self.lower is None else self.offset
         else:
-            # A cell without data, or without material, is no layer.
-            values = np.nan_to_num(values, nan=0.0)
+            values = np.nan_to_num(values, nan=0.0)  # a cell without data, or without material, is no layer
             require(bool(values.any()), "", "a raster with some thickness", "none")
             parts = [np.flatnonzero(values.any(axis=1 - axis)) for axis in (0, 1)]
             ranges = [slice(part[0], part[-1] + 1) for part in parts]

@@ -17,8 +17,7 @@ from datasets.flow.trajectory import Trajectory
 from datasets.geometry.surface import surface_of
 from datasets.scene import Baffle, Mass, Scene
 
-# VTK takes half a second to import: only who writes or draws pays for it.
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # VTK takes half a second to import: only who writes or draws pays for it
     import pyvista
 
 SERIES = "trajectory.pvd"

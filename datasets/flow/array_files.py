@@ -14,8 +14,7 @@ from datasets import memory
 from datasets.errors import require
 from datasets.files import file_size, reading, replacing
 
-# Most commands read NPZ alone.
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # most commands read NPZ alone
     import h5py
 
 HDF5 = ".h5"
@@ -146,11 +145,9 @@ def open_frames(path: Path, key: str, *, sound: bool = False) -> NDArray[Any]:
         if place.compress_type == zipfile.ZIP_STORED:
             if sound:
                 with archive.open(place) as stream:
-                    # At its end the library compares the sums.
-                    while stream.read(PIECE):
+                    while stream.read(PIECE):  # at its end the library compares the sums
                         pass
-            # NumPy's own header stands behind that of the archive.
-            file.seek(place.header_offset)
+            file.seek(place.header_offset)  # NumPy's own header stands behind that of the archive
             file.seek(place.header_offset + file.read(HEADERS).index(np.lib.format.MAGIC_PREFIX))
             shape, fortran, kind = read_header(file)
             if kind == np.float32:

@@ -142,8 +142,7 @@ def polygon(mass: Mass, share: float, key: str) -> Filling:
 
 def mesh(mass: Mass, share: float, key: str) -> Filling:
     """A closed surface of triangles in 3D."""
-    # Commands on boxes alone start without these libraries.
-    from scipy import ndimage
+    from scipy import ndimage  # commands on boxes alone start without these libraries
 
     from datasets.geometry.nearest import inside
     from datasets.geometry.surface import boundary

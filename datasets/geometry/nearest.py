@@ -116,8 +116,7 @@ def normals_at(surface: Surface, face: Integers, weights: Floats) -> Floats:
     zero = weights <= INTERIOR
     normal = surface.normals[face]
     if surface.dimension == 3:
-        # Weight k + 2 vanishes on edge k.
-        for edge in range(3):
+        for edge in range(3):  # weight k + 2 vanishes on edge k
             on_edge = zero[:, (edge + 2) % 3]
             normal = np.where(on_edge[:, None], surface.edge_normals[face, edge], normal)
     for corner in range(surface.dimension):

@@ -152,8 +152,7 @@ def heights_above_ground(scene: SceneLayout) -> Floats:
 
 def connected(lower: Floats, upper: Floats) -> NDArray[np.int32]:
     """The number of the group of each box, shape [K]: boxes that share at least a corner are of one."""
-    # Imported here: who asks for help needs no graphs.
-    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.csgraph import connected_components  # imported here: who asks for help needs no graphs
 
     touch = (lower[:, None] <= upper + TOLERANCE).all(axis=-1)
     group: NDArray[np.int32] = connected_components(touch & touch.T)[1]

@@ -174,8 +174,7 @@ def grown(body: Body, gap: float) -> Floats:
 
 def sliced(vertices: Floats, triangles: Integers, lattice: Floats) -> NDArray[np.bool_]:
     """Which places of a lattice [m], shape [N, 3], lie in a closed surface, by level cuts through it; shape [N]."""
-    # The library cuts across its third axis.
-    body = manifold(vertices[:, [0, 2, 1]], triangles[:, ::-1])
+    body = manifold(vertices[:, [0, 2, 1]], triangles[:, ::-1])  # the library cuts across its third axis
     within = np.zeros(len(lattice), bool)
     for level in np.unique(lattice[:, 1]):
         here = np.flatnonzero(lattice[:, 1] == level)

@@ -105,8 +105,7 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
         union = union_of_rings if bodies[0].vertices.shape[1] == 2 else union_of_surfaces
         vertices, faces, friction, owner = union(bodies, gap)
     surface = Surface(vertices[faces], *pseudonormals(vertices, faces), owner, friction)
-    # Triangles without area have no normal.
-    return surface.chosen(np.asarray(surface.normals.any(axis=1)))
+    return surface.chosen(np.asarray(surface.normals.any(axis=1)))  # triangles without area have no normal
 
 
 def body_of(solid: Solid, key: str, box: Domain) -> Body:
@@ -114,8 +113,7 @@ def body_of(solid: Solid, key: str, box: Domain) -> Body:
     body = closed_body(solid, key, box)
     thinnest = float(np.ptp(body.vertices, axis=0).min())
     require(thinnest > TOUCHING, key, f"a solid thicker than {TOUCHING:g} m", f"one of {thinnest:.3g} m")
-    # The floor last.
-    for axis, side in itertools.product(() if solid.kind == "terrain" else (0, 2, 1), (0, 1)):
+    for axis, side in itertools.product(() if solid.kind == "terrain" else (0, 2, 1), (0, 1)):  # the floor last
         if axis < box.dimension:
             body = continued(body, axis, side, box)
     return body

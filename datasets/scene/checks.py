@@ -36,8 +36,7 @@ SOFTEST = 10.0
 
 def checked(scene: SceneLayout) -> SceneLayout:
     """The scene with the boxes around its masses, where all of it fits together. Raises InputError."""
-    # First of all, because shapes are filled with particles before the rest is checked.
-    check_sizes(scene)
+    check_sizes(scene)  # first of all, because shapes are filled with particles before the rest is checked
     for key, solid in keyed(scene, "solids").items():
         check_solid(solid, key, scene.dimension)
         placed = solid.corner is None or scene.domain.origin is None
@@ -97,8 +96,7 @@ def check(scene: SceneLayout) -> None:
         require(side in sides, f"open_sides[{index}]", f"one of {', '.join(sides)}", repr(side))
         require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))
     for key, mass in keyed(scene, "masses").items():
-        # Other shapes say what is wrong with them when they are filled.
-        if mass.kind == "box":
+        if mass.kind == "box":  # other shapes say what is wrong with them when they are filled
             check_shape(mass, key, dimension)
         check_start(scene, mass, key)
     # Other shapes than boxes say so when they are filled.
@@ -316,8 +314,7 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
         above = f"{level - scene.domain.size[1]:.3g} m above the top of the box"
         warnings.warn(f"water.level lies {above}: all that is saturated is full", stacklevel=3)
     terrains = [(key, solid) for key, solid in keyed(scene, "solids").items() if solid.kind == "terrain"]
-    # Of several the highest is the ground.
-    for key, solid in terrains if len(terrains) == 1 else ():
+    for key, solid in terrains if len(terrains) == 1 else ():  # of several the highest is the ground
         lowest = lowest_ground(scene.domain, solid, key)
         if lowest < -TOUCHING:
             said = f"falls {-lowest:.3g} m below the floor of the box, which is the ground there"

@@ -109,8 +109,7 @@ def write_scene(scene: Scene, path: str | Path) -> None:
     table = changed(scene)
     for mass in table["masses"]:
         if mass.get("kind", "box") != "box":
-            # A scene works out the box around it.
-            del mass["lower"], mass["size"]
+            del mass["lower"], mass["size"]  # a scene works out the box around it
     if scene.domain.origin is not None:
         table = moved(table, scene.domain.corner)
     write_text(Path(path), tomli_w.dumps(table))

@@ -123,8 +123,7 @@ def test_a_thickness_by_raster(tmp_path: Path) -> None:
     place = Affine(10.0, 0.0, EAST, 0.0, -10.0, NORTH + 200.0)
     write_raster(tmp_path / "depth.tif", rows, "EPSG:2056", transform=place)
     scene = made(tmp_path, "--cell", "2", "--thickness", str(tmp_path / "depth.tif"))
-    # 20 x 20 m of each.
-    assert mass_volumes(scene)[0] * math.cos(SLOPE) == pytest.approx(400.0 * 3.0, rel=1e-3)
+    assert mass_volumes(scene)[0] * math.cos(SLOPE) == pytest.approx(400.0 * 3.0, rel=1e-3)  # 20 x 20 m of each
     start = initial_particles(scene).positions + scene.domain.corner
     assert start[:, 2].max() < NORTH + 106.0
     upright = made(tmp_path, "--cell", "2", "--vertical", "--thickness", str(tmp_path / "depth.tif"))

@@ -50,8 +50,7 @@ def test_there_and_back(tmp_path: Path, dimension: int, up: str) -> None:
         positions, types, material = file["toy-0001"]
         assert (positions.dtype, set(types.tolist())) == (np.float32, {3, 6})
         np.testing.assert_array_equal(material == 0.0, types == 3)
-        # Baffles stand.
-        solid = geoelements.obstacle_particles(toy_scene(dimension, 1))
+        solid = geoelements.obstacle_particles(toy_scene(dimension, 1))  # baffles stand
         np.testing.assert_array_equal(positions[:, types == 3], np.float32(solid)[None].repeat(FRAMES, axis=0))
     if up == "z":
         lay_down(theirs)
