@@ -26,13 +26,10 @@ DISK_ERRORS = {"ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "EPERM", "EIO", "
 
 
 def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[str] | None = None) -> int:
-    """Run a command, or that of a table which is named first, with the flags on the command line.
-
-    Returns its exit status: 0 done, 1 the work failed, 2 the input is wrong; 130 after Ctrl-C, 143 after SIGTERM. No
-    traceback for a user's mistake, nor for a disk that is full or read-only. Prints the text that a command returns.
-    """
-    # Whoever needs an exception alone waits for no parser of flags.
-    from cyclopts import CycloptsError
+    """Run a command, or that of a table which is named first, with the flags on the command line. Prints the text that
+    it returns. No traceback for a user's mistake, nor for a failing disk. Returns its exit status: 0 done, 1 the work
+    failed, 2 the input is wrong; 130 after Ctrl-C, 143 after SIGTERM."""
+    from cyclopts import CycloptsError  # whoever needs an exception alone waits for no parser of flags
 
     given = sys.argv[1:] if arguments is None else list(arguments)
     python_format = warnings.formatwarning

@@ -30,8 +30,7 @@ from datasets.scene.grid_field import Floats
 
 Figures = dict[str, Floats]
 
-MOMENTS = 60
-"""At most so many are compared, evenly in time."""
+MOMENTS = 60  # at most so many are compared, evenly in time
 FIGURES = {"front": "m", "runout": "m", "toe": "m", "height": "m", "kinetic": "J", "potential": "J"}
 """Of a flow at a time, with their units, energies in 2D per metre of width; `toe` is its x, `height` the mean of the
 volume above the ground, `kinetic` may be nan."""
@@ -169,14 +168,13 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
         heights = (columns.thickness(one, first[entered[0]]), columns.thickness(other, second[entered[1]]))
         for series, fields, state in zip(rows, both, values, strict=False):
             series.append(figures_of(fields, state))
-        thickness = measures.thickness_apart(*heights)
         moved = transport = math.nan
         if all(here.any() for here in entered):
             parts = zip((first, second), (one.volumes, other.volumes), entered, strict=True)
             transport = measures.transport_distance(*(array[here] for *owns, here in parts for array in owns))
         if same is not None and (here := entered[0][same[0]] & entered[1][same[1]]).any():
             moved = measures.rms(np.linalg.norm(first[same[0]] - second[same[1]], axis=1)[here])
-        rows[2].append([thickness, transport, moved, measures.overlap(*heights)])
+        rows[2].append([measures.thickness_apart(*heights), transport, moved, measures.overlap(*heights)])
     figures = [dict(zip(FIGURES, np.array(series).T, strict=True)) for series in rows[:2]]
     return Comparison(
         labels=labels,

@@ -44,14 +44,13 @@ def keyed(key: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        inner = f"{key}.{error.key}".removesuffix(".")
-        raise error if error.where else type(error)(error.message, key=inner) from None
+        raise error if error.where else type(error)(error.message, key=f"{key}.{error.key}".removesuffix(".")) from None
 
 
-def require(ok: bool, key: str, expected: str, got: object) -> None:
-    """Raise InputError where `ok` does not hold of `key`."""
+def require(ok: bool, key: str, expected: str, got: object = ..., *, where: str = "") -> None:
+    """Raise InputError where `ok` does not hold of `key`; got: where there is more to say than what was expected."""
     if not ok:
-        raise InputError(f"expected {expected}, got {got}", key=key)
+        raise InputError(f"expected {expected}" + ("" if got is ... else f", got {got}"), where=where, key=key)
 
 
 def suggestion(name: str, names: Collection[str]) -> str:

@@ -16,34 +16,27 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from datasets.errors import InputError, naming, shortened
+from datasets.errors import InputError, naming, require, shortened
 from datasets.memory import spoken
 
-PART = ".part-"
-"""What the names of files begin with that are still being written."""
-LONGEST_LINE = 200
-"""Characters of a library's message that are passed on."""
+PART = ".part-"  # what the names of files begin with that are still being written
+LONGEST_LINE = 200  # characters of a library's message that are passed on
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 """What text begins with that says how it is encoded."""
 NEW_LINE = b"\n"
-LARGEST, LARGEST_TEXT = 2**30, 2**28
-"""Bytes of a raster or a mesh, and of a file of text."""
+LARGEST, LARGEST_TEXT = 2**30, 2**28  # bytes of a raster or a mesh, and of a file of text
 FARTHEST = 1.0e12
 """Numbers beyond this are no length, time, velocity or volume of anything that flows; their squares are finite."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` to write to; it becomes `path` if the block succeeds, else it goes.
-
-    An OSError, such as that of a full disk, names `path`. Raises InputError where a folder has its name, or a file that
-    of its folder.
-    """
+    """Yield a temporary path beside `path` to write to; it becomes `path` if the block succeeds, else it goes. An
+    OSError names `path`. Raises InputError where a folder has its name, or a file that of its folder."""
     part = path
-    if path.is_dir():
-        raise InputError("expected the name of a file to write, got a folder", where=str(path))
+    require(not path.is_dir(), "", "the name of a file to write, got a folder", where=str(path))
     try:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -73,8 +66,7 @@ def flush(path: Path) -> None:
     try:
         os.fsync(handle)
     except OSError as error:
-        # Some file systems of a network have no such call for folders.
-        if error.errno != errno.EINVAL:
+        if error.errno != errno.EINVAL:  # some file systems of a network have no such call for folders
             raise
     finally:
         os.close(handle)
@@ -87,10 +79,7 @@ def remove_parts(folder: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make the folder `path`, in which a command leaves its results: before its work, which would be lost.
-
-    Raises InputError.
-    """
+    """Make the folder of a command's results before its work, which would be lost. Raises InputError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         if not os.access(path, os.W_OK | os.X_OK):
@@ -128,30 +117,25 @@ def finite(value: Any) -> Any:
 
 
 def file_size(path: Path, what: str, *, most: int | None = None) -> int:
-    """The size of a file [bytes]. Raises InputError where there is none, or something else, or one beyond `most`.
-
-    what: such as `a trajectory (NPZ)`. A device or a pipe would never end.
-    """
+    """The size of a file [bytes]; what: such as `a trajectory (NPZ)`. Raises InputError where there is none, for one
+    beyond `most`, and for a device or a pipe, which would never end."""
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"expected {what}, there is no such file", where=str(path)) from None
     except (OSError, ValueError) as error:
         raise InputError(f"expected {what}, {line_of(error)}", where=str(path)) from None
-    if not stat.S_ISREG(status.st_mode):
-        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
-        raise InputError(f"expected {what}, got {kind}", where=str(path))
-    if most is not None and status.st_size > most:
-        raise InputError(f"expected {what} of at most {spoken(most)}, got {spoken(status.st_size)}", where=str(path))
+    kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
+    require(stat.S_ISREG(status.st_mode), "", what, kind, where=str(path))
+    few = most is None or status.st_size <= most
+    require(few, "", f"{what} of at most {spoken(most or 0)}", spoken(status.st_size), where=str(path))
     return status.st_size
 
 
 @contextmanager
 def reading(path: Path, what: str, key: str = "") -> Iterator[None]:
     """Whatever a library makes of a broken or hostile file in the block, as one InputError that names file and key.
-
-    Keep the block to the library's own work, so that no mistake of ours hides in it.
-    """
+    Keep the block to the library's own work, so that no mistake of ours hides in it."""
     with naming(path, key):
         try:
             yield
@@ -173,10 +157,8 @@ def decoded(raw: bytes, errors: str = "strict") -> str:
 
 
 def read_text(path: Path, what: str, *, windows: bool = False) -> str:
-    """The text of a file (`decoded`), its lines ended by a line feed. Raises InputError.
-
-    windows: whether bytes that are no UTF-8 are letters of Windows-1252, in which spreadsheets of Western Europe write.
-    """
+    """The text of a file (`decoded`), its lines ended by a line feed. Raises InputError. windows: whether bytes that
+    are no UTF-8 are letters of Windows-1252, in which spreadsheets of Western Europe write."""
     file_size(path, what, most=LARGEST_TEXT)
     with reading(path, f"{what} that can be read"):
         raw = path.read_bytes()
@@ -212,6 +194,5 @@ def json_object(text: str, key: str = "") -> dict[str, Any]:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"expected readable JSON, {line_of(error)}", key=key) from None
-    if not isinstance(content, dict):
-        raise InputError("expected a JSON object", key=key)
-    return content
+    require(isinstance(content, dict), key, "a JSON object")
+    return cast(dict[str, Any], content)

@@ -16,29 +16,24 @@ from pathlib import Path
 import numpy as np
 
 from datasets.command_line import run
-from datasets.errors import InputError, naming, require
+from datasets.errors import naming, require
 from datasets.files import make_folder, replacing, write_csv
 from datasets.flow.trajectory import Trajectory, read_trajectory, solid_names, trajectory_file
 from datasets.scene.grid_field import Floats
 
 TABLE, PLOT = "forces.csv", "forces.png"
 AXES = ("x", "y", "z")
-ROUNDING = 1.0e-9
-"""Relative difference up to which two times are the same."""
-MOST_PANELS = 6
-"""Solids in one plot; of more, those with the largest peaks are drawn."""
+ROUNDING = 1.0e-9  # relative difference up to which two times are the same
+MOST_PANELS = 6  # solids in one plot; of more, those with the largest peaks are drawn
 
 
 @dataclass(frozen=True, kw_only=True)
 class Forces:
     """Mean forces on solids over the intervals of a trajectory's frames."""
 
-    names: tuple[str, ...]
-    """Of the solids: baffles, other solids, then the sides of the box where recorded, `y-` the floor."""
-    time: Floats
-    """Ends of the intervals [s], shape [T]; each begins where the one before ends, the first at 0."""
-    force: Floats
-    """Force on each solid [N, in 2D per metre of width], shape [T, S, D]; positive along the axes of the box."""
+    names: tuple[str, ...]  # of baffles, other solids, then the sides of the box where recorded, `y-` the floor
+    time: Floats  # ends of the intervals [s], shape [T]; each begins where the one before ends, the first at 0
+    force: Floats  # on each solid [N, in 2D per metre of width], shape [T, S, D]; positive along the axes of the box
 
     @property
     def edges(self) -> Floats:
@@ -65,22 +60,17 @@ class Forces:
 
 
 def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
-    """The force on every solid whose impulse `trajectory` recorded, floor and walls of the box included.
-
-    window: [s] over which forces are averaged besides the interval between two frames; 0 for none.
-    Raises InputError where no impulse was recorded, or for a window that is negative or longer than twice the run.
-    """
+    """The force on every solid whose impulse was recorded, floor and walls of the box included, averaged over `window`
+    [s] besides. Raises InputError where none was, or for a window beyond 0 to twice the run."""
     scene, time, recorded = trajectory.scene, trajectory.time, dict[str, Floats]()
     if trajectory.solid_impulse is not None:
         recorded |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))
     # What the summary holds of the sides of the box has a value at every `frame_dt` of the scene.
     frames = np.rint(time / scene.frame_dt).astype(int)
     recorded |= {name: np.array(series)[frames] for name, series in trajectory.summary.get("side_impulse", {}).items()}
-    if not recorded:
-        raise InputError("expected a trajectory that recorded the momentum solids took, this one did not")
+    require(bool(recorded), "", "a trajectory that recorded the momentum solids took, this one did not")
     end = min(float(time[-1]), float(trajectory.summary.get("end_time") or time[-1]))
-    if end == 0.0:
-        raise InputError("expected a trajectory of more than its start")
+    require(end != 0.0, "", "a trajectory of more than its start")
     require(0.0 <= window <= 2.0 * end, "", f"a window of 0 to {2.0 * end:g} s", f"{window:g} s")
     # A frame at the start ends no interval, and frames after the deposit has come to rest repeat that moment.
     kept = slice(1 if time[0] == 0.0 else 0, int(np.searchsorted(time, end * (1.0 - ROUNDING))) + 1)
@@ -90,8 +80,7 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
     impulse = np.concatenate([np.zeros_like(impulse[:1]), impulse])
     if window > 0.0:
         impulse = smoothed(impulse, edges, window)
-    steps = np.diff(edges)[:, None, None]
-    return Forces(names=tuple(recorded), time=ends, force=np.diff(impulse, axis=0) / steps)
+    return Forces(names=tuple(recorded), time=ends, force=np.diff(impulse, axis=0) / np.diff(edges)[:, None, None])
 
 
 def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:
@@ -105,19 +94,15 @@ def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:
 
 
 def write_forces(trajectory: Trajectory, folder: Path, *, window: float = 0.0) -> Forces:
-    """Write forces.csv and forces.png into `folder`, and return the forces. Raises InputError as `forces_of`."""
+    """Write forces.png and forces.csv, `time_s`, the end of an interval, and the mean force over it of each solid and
+    axis, into `folder`, and return the forces. Raises InputError as `forces_of`."""
     forces = forces_of(trajectory, window=window)
-    write_table(folder / TABLE, forces)
-    draw(folder / PLOT, forces)
-    return forces
-
-
-def write_table(path: Path, forces: Forces) -> None:
-    """Write a CSV: `time_s`, the end of an interval, and the mean force over it of each solid and axis."""
     suffix, axes = forces.unit.replace("/", "_per_"), AXES[: forces.force.shape[2]]
     header = ["time_s", *(f"{name}_f{axis}_{suffix}" for name in forces.names for axis in axes)]
     rows = zip(forces.time.tolist(), forces.force.reshape(len(forces.time), -1).tolist(), strict=True)
-    write_csv(path, header, ([f"{time:.10g}", *(f"{value:.9g}" for value in row)] for time, row in rows))
+    write_csv(folder / TABLE, header, ([f"{time:.10g}", *(f"{value:.9g}" for value in row)] for time, row in rows))
+    draw(folder / PLOT, forces)
+    return forces
 
 
 def draw(path: Path, forces: Forces) -> None:

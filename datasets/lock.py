@@ -20,18 +20,14 @@ from datasets.errors import WorkFailed
 from datasets.files import make_folder, remove_parts, write_text
 
 LOCK = ".talus-lock"
-HOLDER = ".talus-lock.txt"
-"""Files in a folder while a process writes into it."""
-NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EINVAL}
-"""Errors of file systems that have no locks."""
+HOLDER = ".talus-lock.txt"  # files in a folder while a process writes into it
+NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EINVAL}  # errors of file systems that have no locks
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[Path]:
-    """Hold `folder`, made if need be, for this process; parts of files that a killed one left go first and last.
-
-    Raises WorkFailed, which says who, where another process holds it, and InputError as `make_folder`.
-    """
+    """Hold `folder`, made if need be, for this process; parts of files that a killed one left go first and last. Raises
+    WorkFailed, which says who, where another process holds it, and InputError as `make_folder`."""
     make_folder(folder)
     lock = FileLock(folder / LOCK)
     try:
@@ -53,8 +49,7 @@ def locked(folder: Path) -> Iterator[Path]:
         write_text(folder / HOLDER, who)
         yield folder
     finally:
-        # Those of its own processes, too, that a signal has ended.
-        remove_parts(folder)
+        remove_parts(folder)  # those of its own processes, too, that a signal has ended
         (folder / HOLDER).unlink(missing_ok=True)
         # While it is held: who waits for it sees that the name is gone, and begins anew.
         if lock.is_locked and isinstance(lock, UnixFileLock):

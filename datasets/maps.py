@@ -32,7 +32,7 @@ from shapely.geometry.polygon import orient
 from tqdm import tqdm
 
 from datasets.command_line import run
-from datasets.errors import InputError, naming, require
+from datasets.errors import naming, require
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.flow.fields import FlowFields
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_file
@@ -50,20 +50,13 @@ KINDS = {
     "arrival": ("time of arrival", "s", "viridis"),
 }
 """Attributes of `PlanMaps`, and the names of their files: what they show, its unit, colours of matplotlib."""
-BETWEEN = 8
-"""Most moments that are looked at from one frame to the next: as many as fast particles cross cells."""
-FAST = 0.99
-"""Quantile of the particles' displacements that counts as fast: a single grain does not decide."""
-COLOURS = 9
-"""Of a map in QGIS."""
-OUTSIDE = 1.0e-6
-"""Share of the box by which rounding may put a particle beyond a wall."""
-CLOSE = 1.0e-6
-"""How far beyond its edge a map falls to 0 [cells]."""
-WIDTH, HIGHEST = 9.0, 9.0
-"""Of a picture [inches]."""
-CONTOURS = 12
-"""About as many contour lines of the ground."""
+BETWEEN = 8  # most moments that are looked at from one frame to the next: as many as fast particles cross cells
+FAST = 0.99  # quantile of the particles' displacements that counts as fast: a single grain does not decide
+COLOURS = 9  # of a map in QGIS
+OUTSIDE = 1.0e-6  # share of the box by which rounding may put a particle beyond a wall
+CLOSE = 1.0e-6  # how far beyond its edge a map falls to 0 [cells]
+WIDTH, HIGHEST = 9.0, 9.0  # of a picture [inches]
+CONTOURS = 12  # about as many contour lines of the ground
 
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int64]
@@ -73,33 +66,19 @@ Integers = NDArray[np.int64]
 class PlanMaps:
     """What a flow came to, over the cells of a map: X along x and Z along z."""
 
-    grid: Grid
-    """Of the middles of the cells along x and z [m]."""
-    thickness: Floats
-    """Of the deposit in the last frame [m], shape [X, Z]."""
-    start: Floats | None
-    """The same at the start; None where that was not kept."""
-    depth: Floats
-    """Largest thickness at any time [m]."""
-    normal_depth: Floats
-    """The same normal to the terrain [m]."""
-    velocity: Floats | None
-    """Largest velocity [m/s] at any time when there was more than the threshold; None where none is known."""
-    arrival: Floats
-    """Time [s] from which on there was more than the threshold for the first time; NaN where there never was."""
-    ground: Floats
-    """Elevation of what is highest of all that is solid, in the middle of a cell [m]; 0, or on a map the origin's, is
-    the floor of the box."""
-    threshold: float
-    """Thickness [m] above which a cell counts as covered."""
-    volume: float
-    """Of the particles in the last frame [m^3]."""
-    left: float
-    """Volume of those that are no longer in the box then."""
-    corner: tuple[float, ...] = (0.0, 0.0)
-    """Easting and northing of x = z = 0 [m]: x runs to the east, z to the north."""
-    crs: str | None = None
-    """Reference system of these, as an authority's code or in WKT; None of local coordinates, those of the box."""
+    grid: Grid  # of the middles of the cells along x and z [m]
+    thickness: Floats  # of the deposit in the last frame [m], shape [X, Z]
+    start: Floats | None  # the same at the start; None where that was not kept
+    depth: Floats  # largest thickness at any time [m]
+    normal_depth: Floats  # the same normal to the terrain [m]
+    velocity: Floats | None  # largest [m/s] when there was more than the threshold; None where none is known
+    arrival: Floats  # time [s] at which there was more than the threshold for the first time; NaN where never
+    ground: Floats  # elevation of the highest solid, else of the floor of the box, in the middle of a cell [m]
+    threshold: float  # thickness [m] above which a cell counts as covered
+    volume: float  # of the particles in the last frame [m^3]
+    left: float  # volume of those that are no longer in the box then
+    corner: tuple[float, ...] = (0.0, 0.0)  # easting and northing of x = z = 0 [m]: x runs to the east, z to the north
+    crs: str | None = None  # of these, as an authority's code or in WKT; None of coordinates of the box
 
     @property
     def cell(self) -> float:
@@ -108,19 +87,15 @@ class PlanMaps:
 
 
 def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = None, progress: bool = False) -> PlanMaps:
-    """The maps of `trajectory` over square cells of this edge [m]; the last may go beyond the box.
-
-    threshold: [m], above which a cell counts as covered; where absent a particle's spacing at the start, at most half
-    the least thickness that was released. Raises InputError for one that is not positive, for a flow in 2D, and for
-    cells that are finer than the particles, or longer than a side of the box. They lie where the origin of the box
-    says, else the first raster of the scene's terrain that knows.
-    """
+    """The maps of `trajectory` over square cells of this edge [m]; the last may go beyond the box. threshold: [m],
+    above which a cell counts as covered; else a particle's spacing, at most half the least thickness released. Raises
+    InputError for one that is not positive, for a flow in 2D, and for cells finer than the particles or longer than a
+    side of the box."""
     scene, fields, volumes = trajectory.scene, FlowFields(trajectory), trajectory.volumes
     if threshold is None:
         threshold = min(fields.spacing, 0.5 * min(least_thickness(mass) for mass in scene.masses))
     require(threshold > 0.0, "--threshold", "a thickness above 0 m", f"{threshold:g}")
-    if scene.dimension == 2:
-        raise InputError("expected a trajectory in 3D, a flow in 2D has no plan")
+    require(scene.dimension == 3, "", "a trajectory in 3D, a flow in 2D has no plan")
     sides, least = scene.domain.size[::2], scene.particle_spacing
     expected = f"a length from {least:g} m, the spacing of the particles, to {min(sides):g} m, the box"
     require(least * (1.0 - 1.0e-9) <= cell <= min(sides), "--cell", expected, f"{cell:g} m")
@@ -135,18 +110,16 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
         depth[cells] = np.maximum(depth[cells], volume / cell**2)
         covered, known = volume / cell**2 > threshold, known or moving
         arrival[cells] = np.where(np.isnan(arrival[cells]) & covered, time, arrival[cells])
-        speed = np.where(covered, np.linalg.norm(momentum, axis=0) / volume, 0.0)
-        fastest[cells] = np.maximum(fastest[cells], speed)
+        fastest[cells] = np.maximum(fastest[cells], np.where(covered, np.linalg.norm(momentum, axis=0) / volume, 0.0))
     last, here = trajectory.positions[-1], trajectory.entered(float(trajectory.time[-1]))
     inside = ((last >= limits[0]) & (last <= limits[1])).all(axis=1) & here
     corner, crs = map_corner(scene)
-    steep = np.hypot(*slopes_in_plan(scene, grid))
     return PlanMaps(
         grid=grid,
         thickness=sums[..., 0] / cell**2,
         start=start,
         depth=depth.reshape(grid.nodes),
-        normal_depth=depth.reshape(grid.nodes) / np.hypot(1.0, steep),
+        normal_depth=depth.reshape(grid.nodes) / np.hypot(1.0, np.hypot(*slopes_in_plan(scene, grid))),
         velocity=fastest.reshape(grid.nodes) if known else None,
         arrival=arrival.reshape(grid.nodes),
         ground=ground(scene, grid) + float(scene.domain.corner[1]),
@@ -162,11 +135,8 @@ def plan_sums(
     fields: FlowFields, limits: Floats, cell: float, sums: Floats, progress: bool
 ) -> Iterator[tuple[float, Integers, bool]]:
     """Times [s], the cells that have something then, and whether velocities are known; `sums` as of `add_to_plan`.
-
-    The times are those of the frames and, where the flow crosses cells from one to the next, times between.
-    """
-    # Compiled: who asks for help does not wait for the compiler.
-    from datasets.flow.plan import add_to_plan
+    Times are those of the frames and, where the flow crosses cells from one to the next, between."""
+    from datasets.flow.plan import add_to_plan  # compiled: who asks for help does not wait for the compiler
 
     flow, touched, used = fields.trajectory, np.zeros(sums[..., 0].size, np.int64), 0
     begin, places, velocity = moment(fields, 0)
@@ -178,10 +148,9 @@ def plan_sums(
             count = min(max(math.ceil(moved / cell), 1), BETWEEN)
         for share in np.arange(1, count + 1) / count:
             time = begin + share * (end - begin)
-            volumes = np.where(flow.entered(time), flow.volumes, 0.0)
             motion = (places, there), (velocity, faster), share, end - begin
             sums.reshape(-1, 4)[touched[:used]] = 0.0
-            used = add_to_plan(*motion, volumes, limits, cell, sums, touched)
+            used = add_to_plan(*motion, np.where(flow.entered(time), flow.volumes, 0.0), limits, cell, sums, touched)
             yield time, touched[:used], known
         begin, places, velocity = end, there, faster
 
@@ -204,9 +173,7 @@ def least_thickness(mass: Mass) -> float:
 
 def ground(scene: Scene, grid: Grid) -> Floats:
     """Elevation of the highest solid at the place of each cell [m], the floor's, 0, where there is none; as the maps.
-
-    Of cells that go beyond the box that at the nearest place in it.
-    """
+    Of cells that go beyond the box that at the nearest place in it."""
     plan = np.minimum(grid.positions, scene.domain.size[::2])
     if not scene.baffles and all(solid.kind == "terrain" for solid in scene.solids):
         return elevation(scene.solids, scene.domain, plan).reshape(grid.nodes)
@@ -223,11 +190,8 @@ def map_corner(scene: Scene) -> tuple[tuple[float, ...], str | None]:
 
 
 def region_above(grid: Grid, values: Floats, threshold: float, corner: Sequence[float] = (0.0, 0.0)) -> MultiPolygon:
-    """Where `values` [X, Z] at the middles of cells exceed a threshold: polygons with holes, `corner` [m] added.
-
-    The line runs where the map, linear between the middles of its cells and even in the outer half of the last, equals
-    the threshold, and along the edge of the map. Outer rings run anticlockwise, holes clockwise.
-    """
+    """Polygons with holes where `values` [X, Z], linear between the middles of cells and even in the outer half of the
+    last, exceed a threshold; `corner` [m] added. Outer rings run anticlockwise, holes clockwise."""
     from contourpy import FillType, contour_generator
 
     padded = np.pad(np.pad(values, 1, mode="edge"), 1)
@@ -241,11 +205,8 @@ def region_above(grid: Grid, values: Floats, threshold: float, corner: Sequence[
 
 
 def write_outlines(path: Path, maps: PlanMaps, outlines: dict[tuple[str, float], MultiPolygon]) -> None:
-    """Write the outlines of `maps`, by name and threshold [m], as GeoJSON: a MultiPolygon each.
-
-    Its properties are `name`, `threshold_m` and `area_m2`. Coordinates are those of the rasters, whose reference system
-    is named; local ones name none.
-    """
+    """Write the outlines of `maps`, by name and threshold [m], as GeoJSON: a MultiPolygon each, with the properties
+    `name`, `threshold_m` and `area_m2`, in the rasters' reference system."""
     import pyogrio
 
     names, thresholds = zip(*outlines, strict=True)
@@ -299,10 +260,8 @@ def draw_maps(path: Path, maps: PlanMaps) -> None:
 
 
 def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequence[float] = ()) -> dict[str, Any]:
-    """Write the maps of a trajectory into `folder`, and maps.json, what they come to, which is returned.
-
-    thresholds: [m], of outlines beside that of the maps. Raises WorkFailed.
-    """
+    """Write the maps of a trajectory into `folder`, and maps.json, what they come to, which is returned. thresholds:
+    [m], of outlines beside that of the maps. Raises WorkFailed."""
     from datasets.exchange.rasters import write_raster
 
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
@@ -324,8 +283,7 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequ
     draw_maps(folder / "maps.png", maps)
     write_outlines(folder / "outline.geojson", maps, outlines)
     # Single particles that rolled on are islands of their own.
-    deposit = outlines["deposit", maps.threshold].geoms
-    largest = max(deposit, key=lambda polygon: polygon.area, default=None)
+    largest = max(outlines["deposit", maps.threshold].geoms, key=lambda polygon: polygon.area, default=None)
     said = {
         "time": float(trajectory.time[-1]),
         "cell": maps.cell,

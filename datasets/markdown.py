@@ -6,8 +6,6 @@ from typing import Any
 from tabulate import tabulate
 
 
-def markdown_table(
-    rows: Iterable[Any], headings: Sequence[str] | str = "keys", style: str = "pipe", **options: Any
-) -> str:
+def markdown_table(rows: Iterable[Any], headings: Sequence[str] = "keys", style: str = "pipe", **options: Any) -> str:
     """Rows as a table: mappings, or sequences with `headings`. Cells are text, unless `options` of tabulate differ."""
     return tabulate(rows, headings, style, **{"disable_numparse": True} | options)

@@ -10,10 +10,8 @@ import psutil
 
 from datasets.errors import InputError
 
-GROUP = Path("/sys/fs/cgroup")
-"""Of a container under Linux, whose limit may be below what the machine has."""
-USABLE = 0.9
-"""Part of the free memory that is given away."""
+GROUP = Path("/sys/fs/cgroup")  # of a container under Linux, whose limit may be below what the machine has
+USABLE = 0.9  # part of the free memory that is given away
 TRIM_EVERY = 16
 """Calls between two trims of `trimming`: more often they take time, more rarely they leave twice the memory."""
 
@@ -24,8 +22,7 @@ R = TypeVar("R")
 def free() -> int:
     """Memory that this process may still take [bytes]: what the machine, its container and its own limit leave."""
     limits: list[int] = [psutil.virtual_memory().available]
-    # No container, or one without a limit.
-    with suppress(OSError, ValueError):
+    with suppress(OSError, ValueError):  # no container, or one without a limit
         most, used = (int((GROUP / f"memory.{name}").read_text()) for name in ("max", "current"))
         limits.append(most - used)
     if hasattr(psutil, "RLIMIT_AS"):
@@ -58,8 +55,7 @@ def trimming(step: Callable[P, R]) -> Callable[P, R]:
     try:
         trim = ctypes.CDLL(None).malloc_trim
     except (AttributeError, OSError, TypeError):
-        # Another C library, which may not need it.
-        return step
+        return step  # another C library, which may not need it
     calls = 0
 
     def called(*args: P.args, **kwargs: P.kwargs) -> R:

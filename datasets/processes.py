@@ -18,8 +18,7 @@ import psutil
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 REPEAT = 1.0
 """A signal more than this [s] after the first is a second one; before, it is the same, which torchrun hands on."""
-PR_SET_PDEATHSIG = 1
-"""Of Linux's prctl(2): the signal that a process gets when its parent ends."""
+PR_SET_PDEATHSIG = 1  # of Linux's prctl(2): the signal that a process gets when its parent ends
 
 
 class Terminated(KeyboardInterrupt):
@@ -103,10 +102,8 @@ def processors() -> int:
 
 
 def end_with_parent() -> None:
-    """End this process at once when the process that started it has ended, even by SIGKILL.
-
-    On Linux by the kernel; where multiprocessing started it, by a thread that watches the pipe to the parent, too.
-    """
+    """End this process at once when the process that started it has ended, even by SIGKILL. On Linux by the kernel;
+    where multiprocessing started it, by a thread that watches the pipe to the parent, too."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     parent = parent_process()
@@ -116,10 +113,8 @@ def end_with_parent() -> None:
 
 @contextmanager
 def without_main() -> Iterator[None]:
-    """While this lasts, processes that start do not run the user's script again: it needs no guard for that.
-
-    A module that was started by `python -m` has one; there processes find the functions that it gives them.
-    """
+    """While this lasts, processes that start do not run the user's script again: it needs no guard. A module started by
+    `python -m` has one; there processes find the functions that it gives them."""
     main: Any = sys.modules["__main__"]
     file = getattr(main, "__file__", None) if getattr(main, "__spec__", None) is None else None
     if file is not None:

@@ -21,10 +21,8 @@ from datasets.files import line_of
 T = TypeVar("T")
 UNSEEN = ("float", "str", "constants")
 """Parts of an error's path that a file does not have: types of a key that takes either, where keys are gathered."""
-FEW_KEYS = 12
-"""Keys of a table that are listed where an unknown one is refused."""
-SHORT = 3
-"""Numbers of a vector that are shown where one of them is out of bounds: those of a place."""
+FEW_KEYS = 12  # keys of a table that are listed where an unknown one is refused
+SHORT = 3  # numbers of a vector that are shown where one of them is out of bounds: those of a place
 FARTHEST = 1.0e9
 """Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
 
@@ -32,9 +30,7 @@ FARTHEST = 1.0e9
 @dataclass(frozen=True)
 class Bounds:
     """What a number, or each of a vector, may be, in words and as pydantic names it; stands beside the type of a key.
-
-    jitter: Annotated[float, Bounds("a fraction in [0, 1]", ge=0.0, le=1.0)] = 0.8
-    """
+    jitter: Annotated[float, Bounds("a fraction in [0, 1]", ge=0.0, le=1.0)] = 0.8"""
 
     expected: str
     gt: float = -math.inf
@@ -86,8 +82,7 @@ def bounds_of(kind: type) -> dict[str, Bounds]:
         for part in get_args(hint):
             yield from within(part)
 
-    hints = get_type_hints(kind, include_extras=True)
-    return {name: bounds for name, hint in hints.items() for bounds in within(hint)}
+    return {name: bounds for name, hint in get_type_hints(kind, include_extras=True).items() for bounds in within(hint)}
 
 
 def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -97,8 +92,7 @@ def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
     try:
         return dict(zip(keys, types.validate_python(values), strict=True))
     except ValidationError:
-        # Few are of numpy, and large tables take long to walk through.
-        values = plain(values)
+        values = plain(values)  # few are of numpy, and large tables take long to walk through
     try:
         return dict(zip(keys, types.validate_python(values), strict=True))
     except ValidationError as error:
@@ -112,10 +106,8 @@ def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Record:
-    """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan.
-
-    One that Python makes takes numbers and arrays of numpy too, and inf where no bounds forbid it.
-    """
+    """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan. One that
+    Python makes takes numbers and arrays of numpy too, and inf where no bounds forbid it."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -136,11 +128,8 @@ _adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 
 
 def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
-    """Build the dataclass `kind` from nested mappings; an integer may stand for a float.
-
-    Raises InputError with the path of the first wrong key, such as `masses[1].velocity`; OutOfRange where keys and
-    types are right.
-    """
+    """Build the dataclass `kind` from nested mappings; an integer may stand for a float. Raises InputError with the
+    path of the first wrong key, such as `masses[1].velocity`; OutOfRange where keys and types are right."""
     try:
         # JSON mode converts nothing either, but still takes an array for a tuple.
         text = json.dumps(data, default=str)
@@ -219,8 +208,7 @@ def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
         for name in table:
             if not users[name]:
                 raise InputError(unknown_key(name, [*chain(*keys.values())]), key=name)
-        if "kind" not in table:
-            raise InputError("expected a value, the key is missing", key="kind")
+        require("kind" in table, "kind", "a value, the key is missing")
         kind = table["kind"]
         require(kind in kinds, "kind", f"one of {', '.join(kinds)}", repr(kind))
         for name in table:

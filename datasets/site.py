@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from datasets.command_line import run
 from datasets.errors import naming, require
-from datasets.exchange.map_box import ROUNDING, largest, whole_cells
+from datasets.exchange.map_box import ROUNDING, filled, largest, whole_cells
 from datasets.files import write_text
 from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.grid_field import Floats
@@ -31,31 +31,22 @@ from datasets.scene.library import scene_from
 from datasets.scene.particles import particle_count, released_volume
 from datasets.scene.stiffness import greatest_speed
 
-# GDAL and SciPy take half a second to import: --help needs neither.
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # GDAL and SciPy take half a second to import: --help needs neither
     from datasets.exchange.rasters import Raster
     from datasets.exchange.vectors import Feature
 
 REACH = 0.75
 """Slope of the energy line that bounds the box over the coefficient of friction: fronts run beyond a block's place."""
-HOLELESS = ".dem.tif"
-"""Ending of the raster with its holes filled, beside the scene."""
-THICKNESS = ("thickness", "d0")
-"""Attributes of a polygon that may say how thick it is [m]."""
+HOLELESS = ".dem.tif"  # ending of the raster with its holes filled, beside the scene
+THICKNESS = ("thickness", "d0")  # attributes of a polygon that may say how thick it is [m]
 PARTICLES, COLUMNS = 3.0e5, 1.0e7
 """Of the release, and of nodes in the box, at most about, where no cell is given: minutes on two processors."""
-ACROSS = 2.0
-"""Cells over the thickness of the release, where the box allows it."""
-AROUND = 4
-"""Cells of ground around what is reached."""
-OVERLAP = 1.0e-3
-"""Share of the area of a release that two polygons have in common, from which on it is said."""
-WITHIN = 0.5 - 1.0e-6
-"""Half a cell of the raster, less what rounding adds to a polygon along its edge."""
-TRAVEL = 4.0
-"""Simulated time over that in which the largest speed reaches the end of the box."""
-FRAMES = 100
-"""At least so many."""
+ACROSS = 2.0  # cells over the thickness of the release, where the box allows it
+AROUND = 4  # cells of ground around what is reached
+OVERLAP = 1.0e-3  # share of the area of a release that two polygons have in common, from which on it is said
+WITHIN = 0.5 - 1.0e-6  # half a cell of the raster, less what rounding adds to a polygon along its edge
+TRAVEL = 4.0  # simulated time over that in which the largest speed reaches the end of the box
+FRAMES = 100  # at least so many
 
 
 def site(
@@ -69,12 +60,9 @@ def site(
     cell: float | None,
     internal_friction: float = 30.0,
 ) -> dict[str, Any]:
-    """The tables of a scene file without its terrain's path and its times; lengths in m on the map.
-
-    thickness: of all polygons, in the cells of a raster of its own, or as each polygon says; bed: `friction` of the
-    ground, and perhaps its `turbulence`; slope: of the energy line; internal_friction: of the material [deg]. Raises
-    InputError for a release that does not lie on the raster or has no thickness.
-    """
+    """The tables of a scene file without its terrain's path and its times; lengths in m on the map. thickness: of all
+    polygons, in a raster's cells, or None: as each polygon says; bed: its `friction`, perhaps `turbulence`; slope: of
+    the energy line. Raises InputError for a release beside the raster or without thickness."""
     given, field = (thickness, None) if isinstance(thickness, float) else (None, thickness)
     thick = [float(np.nanmax(field.values)) if field else thickness_of(feature, given) for feature in release]
     covered = np.zeros(raster.values.shape, bool)
@@ -156,10 +144,8 @@ def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
 def layer(
     raster: "Raster", polygon: shapely.Polygon, thickness: "float | Raster", vertical: bool
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
-    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster whose cells it meets.
-
-    thickness: [m], a number, or a raster in whose cells the mass then has it.
-    """
+    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster whose cells it meets. thickness: [m], a
+    number, or a raster in whose cells the mass then has it."""
     box = polygon.bounds
     for axis, spacing, low, high in zip((raster.x, raster.z), raster.spacing, box[:2], box[2:], strict=True):
         within = axis[0] - 0.5 * spacing <= low and high <= axis[-1] + 0.5 * spacing
@@ -199,12 +185,12 @@ def beside(raster: "Raster", polygon: shapely.Polygon) -> tuple[slice, slice]:
 
 def steepness(raster: "Raster", x: Floats, z: Floats) -> Floats:
     """1 / cos(slope) at places x, z [m], shape [X, Z]: central differences at the posts, one-sided beside holes and at
-    the edge, linear between; in holes that of the nearest post.
-    """
+    the edge, linear between; in holes that of the nearest post."""
     from scipy.ndimage import map_coordinates
 
     slopes = [slope_along(raster.values, axis, spacing) for axis, spacing in enumerate(raster.spacing)]
-    steep = filled(np.where(np.isnan(raster.values), np.nan, np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)), raster)
+    steep = np.where(np.isnan(raster.values), np.nan, np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2))
+    steep = filled(steep, raster.spacing)
     places = [(at - own[0]) / step for at, own, step in zip((x, z), (raster.x, raster.z), raster.spacing, strict=True)]
     return np.asarray(map_coordinates(steep, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"))
 
@@ -215,15 +201,6 @@ def slope_along(values: Floats, axis: int, spacing: float) -> Floats:
     slope = np.diff(values, axis=axis) / spacing
     both = np.stack([np.concatenate([none, slope], axis), np.concatenate([slope, none], axis)])
     return np.asarray(np.nansum(both, axis=0) / np.maximum(np.isfinite(both).sum(axis=0), 1))
-
-
-def filled(values: Floats, raster: "Raster") -> Floats:
-    """`values` at the posts of a raster [X, Z], holes with those of the nearest posts."""
-    from scipy.ndimage import distance_transform_edt
-
-    holes = np.isnan(values)
-    nearest = distance_transform_edt(holes, sampling=raster.spacing, return_distances=False, return_indices=True)
-    return np.asarray(values[tuple(nearest)])
 
 
 def reached(raster: "Raster", release: NDArray[np.bool_], top: float, slope: float) -> tuple[Floats, Floats]:
@@ -244,7 +221,8 @@ def without_holes(raster: "Raster", domain: dict[str, Any]) -> Floats | None:
     """The values [X, Z] with those of the nearest posts in holes; None where no hole lies in the box of a scene."""
     sides = zip((raster.x, raster.z), raster.spacing, domain["origin"][::2], domain["size"][::2], strict=True)
     within = [(axis > low - step) & (axis < low + length + step) for axis, step, low, length in sides]
-    return filled(raster.values, raster) if (np.isnan(raster.values) & np.logical_and.outer(*within)).any() else None
+    holes = np.isnan(raster.values) & np.logical_and.outer(*within)
+    return filled(raster.values, raster.spacing) if holes.any() else None
 
 
 def round_up(length: float) -> float:
@@ -261,8 +239,7 @@ def least_of(given: float | Path, flag: str, expected: str, *, zero: bool) -> fl
         require(0.0 <= given < math.inf and (zero or given > 0.0), flag, expected, given)
         return given
     with naming(given, flag), warnings.catch_warnings():
-        # What is to be said of the file is said where the scene reads it.
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("ignore")  # what is to be said of the file is said where the scene reads it
         least = float(np.nanmin(read_raster(given, coefficients=True).values))
         require(least > 0.0 or (zero and least == 0.0), "", expected, least)
     return least

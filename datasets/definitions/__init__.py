@@ -7,8 +7,7 @@ from datasets.definitions.distributions import definition_from_file
 from datasets.errors import InputError
 
 FAMILIES = ("flow2d", "columns2d", "obstacle3d", "baffles3d", "terrain3d")
-NAMES = (*FAMILIES, "paper2d", "paper3d")
-"""Of the definitions that ship."""
+NAMES = (*FAMILIES, "paper2d", "paper3d")  # of the definitions that ship
 
 
 def read_definition(name: str | Path) -> Definition:

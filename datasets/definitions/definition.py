@@ -66,16 +66,11 @@ class Definition:
     """Of a family the names of its kinds of scenes, in the order in which they come, again and again."""
 
     def entries(self, *, seed: int, count: int | None = None) -> tuple[Entry, ...]:
-        """The first `count` scenes of the dataset of `seed`, all of them where `count` is None.
-
-        Scene `index` draws from the stream `[seed, stream(index)]`: a smaller count is a prefix of a larger one, and no
-        scene depends on another.
-        """
+        """The first `count` scenes of the dataset of `seed`, or all. Scene `index` draws from the stream `[seed,
+        stream(index)]`: a smaller count is a prefix of a larger one, and no scene depends on another."""
         count = self.size if count is None else count
         require(1 <= count <= self.size, "count", f"1 to {self.size} trajectories of {self.name}", count)
         require(seed >= 0, "seed", "an integer of at least 0", seed)
-        scenes = (self.draw(np.random.default_rng([seed, self.stream(index)]), index) for index in range(count))
-        return tuple(
-            Entry(split=self.split(index), name=f"{self.name}-{index:04d}", scene=scene)
-            for index, scene in enumerate(scenes)
-        )
+        draws = ((n, np.random.default_rng([seed, self.stream(n)])) for n in range(count))
+        entries = (Entry(split=self.split(n), name=f"{self.name}-{n:04d}", scene=self.draw(rng, n)) for n, rng in draws)
+        return tuple(entries)

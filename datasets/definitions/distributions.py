@@ -20,16 +20,12 @@ from datasets.schema import Bounds, Record, dotted, from_mapping
 Key = tuple[int | str, ...]
 Draws = dict[str, Any]
 
-LARGEST, LEAST_STEP = 1.0e15, 1.0e-15
-"""Of a number of a distribution; of a step over the range."""
-MOST_COPIES = 4096
-"""Of a mass or a baffle."""
+LARGEST, LEAST_STEP = 1.0e15, 1.0e-15  # of a number of a distribution; of a step over the range
+MOST_COPIES = 4096  # of a mass or a baffle
 TRIES = 1000
 """Draws of a scene before the definition is refused: the chance of a valid one is then below one in a hundred."""
-MANY = 20
-"""Bodies and solids of a scene above which the draws are fewer in proportion: each takes its time."""
-MOST_SCENES = 1_000_000
-"""Of a dataset."""
+MANY = 20  # bodies and solids of a scene above which the draws are fewer in proportion: each takes its time
+MOST_SCENES = 1_000_000  # of a dataset
 NAME = re.compile(r"[A-Za-z][\w-]{0,60}", re.ASCII)
 PAIRS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
     "uniform": ("two numbers, the smaller first", lambda low, high: low <= high),
@@ -61,9 +57,8 @@ class DefinitionFile(Record):
 
 def definition_from_file(path: Path) -> Definition:
     """The definition in the TOML file at `path`, named as the file is. Raises InputError."""
-    if not NAME.fullmatch(path.stem):
-        expected = "expected a file name of letters, digits, - and _, which names the trajectories"
-        raise InputError(expected, where=str(path))
+    expected = "a file name of letters, digits, - and _, which names the trajectories"
+    require(NAME.fullmatch(path.stem) is not None, "", expected, where=str(path))
     with naming(path):
         content = from_mapping(DefinitionFile, read_toml(path))
 
@@ -73,20 +68,17 @@ def definition_from_file(path: Path) -> Definition:
 
     # A mistake is found before anything is simulated.
     draw(np.random.default_rng([0, 0]), 0)
-    held_out = {1: Split.VALID, 2: Split.TEST}
     return Definition(
         name=path.stem,
         size=content.count,
-        split=lambda index: held_out.get(index % content.split_period, Split.TRAIN),
+        split=lambda index: {1: Split.VALID, 2: Split.TEST}.get(index % content.split_period, Split.TRAIN),
         draw=draw,
     )
 
 
 def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Path) -> Scene:
-    """A scene that can be simulated: a draw whose parts overlap, leave the box or are out of range is drawn again.
-
-    Raises InputError, that of the last draw, where none of `TRIES` can be, fewer of a scene of more than `MANY` bodies.
-    """
+    """A scene that can be simulated: a draw that cannot be is drawn again, up to `TRIES` times, less often of more than
+    `MANY` bodies. Raises InputError, that of the last draw."""
     tries, bodies = 0, 0
     while bodies < TRIES * MANY:
         variables = {name: drawn(value, stream, {}, ("variables", name)) for name, value in content.variables.items()}

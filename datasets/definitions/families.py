@@ -43,24 +43,18 @@ import numpy as np
 from datasets.definitions.definition import Definition, Split, Storage, Stream
 from datasets.definitions.distributions import OPTIONS, drawn
 from datasets.definitions.held_out import boxes, is_held_out
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.files import read_toml
 from datasets.geometry.ground import elevation, plan_axes
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.scene.material import Material
 
-TRIES = 200
-"""Draws of a scene that is valid and not held out, and of a baffle that stands apart, before it is an error."""
-CUTOFF_SHARE = 0.5
-"""Tension cutoff over cohesion, as in the paper."""
-AIR = 0.16
-"""Least distance of the top of the box from the material [m]."""
-GRID = 0.1
-"""Distance between the elevations of a terrain [m]."""
-WIDEST = 1.2
-"""Extent of a body across the flow, at most [m]."""
-SANDS = ("friction_deg", "cohesion")
-"""Keys in which layers may differ."""
+TRIES = 200  # draws of a scene that is valid and not held out, and of a baffle that stands apart, before it is an error
+CUTOFF_SHARE = 0.5  # tension cutoff over cohesion, as in the paper
+AIR = 0.16  # least distance of the top of the box from the material [m]
+GRID = 0.1  # distance between the elevations of a terrain [m]
+WIDEST = 1.2  # extent of a body across the flow, at most [m]
+SANDS = ("friction_deg", "cohesion")  # keys in which layers may differ
 Numbers = Mapping[str, Any]
 ABSENT: Numbers = {
     **dict.fromkeys(("left", "place", "aside", "width", "least_side"), 0.0),
@@ -140,8 +134,7 @@ def composed(stream: Stream, kind: Numbers) -> Scene:
     domain = Domain(size=tuple(cell * math.ceil(length / cell - 1e-6) for length in extent), cell=cell)
     baffles = baffles_of(stream, {**sketch, "baffles": kind.get("baffles")}, masses, domain, solids)
     keys["baffle_friction"] = keys.get("baffle_friction", 0.0) if baffles else 0.0
-    seed = int(stream.integers(2**31))
-    return Scene(seed=seed, domain=domain, masses=masses, solids=solids, baffles=baffles, **keys)
+    return Scene(seed=int(stream.integers(2**31)), domain=domain, masses=masses, solids=solids, baffles=baffles, **keys)
 
 
 def with_cutoff(sand: Numbers) -> dict[str, Any]:
@@ -158,8 +151,8 @@ def bodies_of(sketch: Numbers, sand: Material) -> tuple[tuple[Mass, ...], float]
         aspect, breadth = body["aspect"], body.get("breadth")
         length = (volume / (aspect * breadth)) ** (1 / 3) if breadth else math.sqrt(volume / (width or 1.0) / aspect)
         sizes.append((length, aspect * length, breadth * length if breadth else width))
-        if min(sizes[-1][:2]) < sketch["least_side"] or sizes[-1][2] > WIDEST:
-            raise InputError("expected a body that is not thinner, nor wider across the flow")
+        fits = min(sizes[-1][:2]) >= sketch["least_side"] and sizes[-1][2] <= WIDEST
+        require(fits, "", "a body that is not thinner, nor wider across the flow")
     width = max([width, *(0.1 * math.ceil(10.0 * size[2] - 1.0e-6) for size in sizes)])
     room = sketch["length"] - sketch["left"] - sum(size[0] for size in sizes) - sum(b.get("gap", 0.0) for b in bodies)
     x, masses = sketch["left"] + sketch["place"] * room, list[Mass]()
@@ -240,8 +233,8 @@ def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[
     if "cells" in sheet:
         length = math.sqrt(sketch["volume"] / (sheet["cells"] * sketch["cell"] * sheet["breadth"]))
         sheet = {**sheet, "across": sheet["breadth"] * length}
-        if sheet["across"] > plan[1] - 0.1 or left + length > 0.6 * plan[0]:
-            raise InputError("expected a layer that leaves room around it and ahead")
+        room = sheet["across"] <= plan[1] - 0.1 and left + length <= 0.6 * plan[0]
+        require(room, "", "a layer that leaves room around it and ahead")
     else:
         length = sheet["share"] * {**sketch["ground"], "": 1.0}[sheet.get("of", "")]
     outline: tuple[tuple[float, ...], ...] = ((left,), (left + length,))
@@ -250,8 +243,7 @@ def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[
         near = sketch["aside"] * (plan[1] - across)
         outline = ((left, near), (left + length, near), (left + length, near + across), (left, near + across))
     thickness = sketch["volume"] / (length * across)
-    if thickness > sheet.get("thickest", 1.0):
-        raise InputError("expected a layer that is not thicker")
+    require(thickness <= sheet.get("thickest", 1.0), "", "a layer that is not thicker")
     velocity = tuple(sheet.get("velocity", ())) or None
     return (Mass(kind="layer", thickness=thickness, outline=outline, velocity=velocity),), thickness
 
@@ -263,8 +255,7 @@ def baffles_of(
     front, given, baffles = max(map(furthest, masses)), sketch["baffles"] or {"count": 0}, list[Baffle]()
     if sketch["rows"]:
         baffles = rows_of(sketch["rows"], masses[0], sketch["turned"])
-        if not apart(baffles, front, sketch["gap"]):
-            raise InputError("expected baffles that stand apart")
+        require(apart(baffles, front, sketch["gap"]), "", "baffles that stand apart")
         return tuple(baffles)
     count = drawn(given["count"], stream, {}, ())
     for _ in range(TRIES):
@@ -318,8 +309,7 @@ def variant(stream: Stream, scene: Scene) -> Scene:
         level = plan_axes(scene.dimension)
         lower[level] += stream.uniform(0.01, 0.05, len(level)) * stream.choice([-1.0, 1.0], len(level))
         baffles[number] = dataclasses.replace(baffles[number], lower=tuple(lower.tolist()))
-        if not apart(baffles, max(map(furthest, scene.masses)), 0.02):
-            raise InputError("expected baffles that stand apart")
+        require(apart(baffles, max(map(furthest, scene.masses)), 0.02), "", "baffles that stand apart")
         return dataclasses.replace(scene, baffles=tuple(baffles))
     if change < 0.5 and any(mass.velocity for mass in scene.masses):
         faster = [(v[0] + float(stream.normal(0.0, 0.3)), *v[1:]) for mass in scene.masses if (v := mass.velocity)]

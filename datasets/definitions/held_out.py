@@ -19,14 +19,11 @@ from datasets.scene import Baffle, Mass, Scene
 from datasets.scene.library import SCENES, read_scene
 from datasets.scene.particles import released_volume
 
-MARGIN = 0.06
-"""Distance of corners within which two scenes are neighbours, over the length of the body [-]."""
-GAPS = 0.06
-"""Share of a box that masses may leave empty to count as one [-]."""
+MARGIN = 0.06  # distance of corners within which two scenes are neighbours, over the length of the body [-]
+GAPS = 0.06  # share of a box that masses may leave empty to count as one [-]
 ASPECTS = (0.5, 0.8, 1.0, 2.0, 3.0)
 """Height over length of columns at a wall that are kept for tests of generalisation, beside the scenes that ship."""
-ASPECT_MARGIN = 0.04
-"""Relative distance from these within which a column at a wall is their neighbour [-]."""
+ASPECT_MARGIN = 0.04  # relative distance from these within which a column at a wall is their neighbour [-]
 
 
 def is_held_out(scene: Scene) -> bool:
@@ -78,11 +75,8 @@ def matched(mine: Floats, theirs: Floats) -> bool:
 
 
 def images(scene: Scene) -> Iterator[tuple[list[Floats], NDArray[np.bool_]]]:
-    """A scene and its mirror images along x and, in 3D, z and both.
-
-    Of each the boxes of its masses and of its baffles [-], shapes [K, 2, D], over the length of the body and from the
-    lower corner of its masses on; and which sides of the box masses touch [H, 2].
-    """
+    """A scene and its mirror images along x and, in 3D, z and both: the boxes of masses and of baffles [-], [K, 2, D],
+    over the body's length and from its lower corner on; which sides the masses touch [H, 2]."""
     unit = released_volume(scene) ** (1.0 / scene.dimension)
     level, contact = plan_axes(scene.dimension), touches(scene)
     for flips in product((False, True), repeat=len(level)):

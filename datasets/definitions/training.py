@@ -27,13 +27,10 @@ MOVING_SPEED = 0.01
 def thin(
     positions: NDArray[np.floating], volume: float | NDArray[np.floating], *, cell: float, kept: int, rng: Stream
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Keep at random `kept` particles of each cell, those of more volume so much more often.
-
-    positions: initial positions [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N];
-    cell: edge of a cell [m]. The particles of a cell (all of them where it holds no more than `kept`) share its volume
-    equally. Two draws from `rng` keep different particles of the same flow, which augments the training data. Returns
-    the indices of those that stay, ascending, and the volume that each stands for [m^D], both of shape [n].
-    """
+    """Keep at random `kept` particles of each cell [m], those of more volume so much more often; they share its volume.
+    positions: [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N]. Two draws from `rng` keep
+    others of the same flow, which augments the training data. Returns the indices of those that stay, ascending, and
+    the volume that each stands for [m^D], both of shape [n]."""
     cells = np.floor(positions.astype(np.float64) / cell).astype(np.int64)
     cells -= cells.min(axis=0)
     group = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
@@ -55,12 +52,9 @@ def thin(
 class MotionStatistics:
     """Moments of v_t [m per frame] and of a_t [m per frame^2]; those of two parts add up to those of both."""
 
-    count: NDArray[np.int64]
-    """Samples of v_t and of a_t, shape [2, 1]."""
-    mean: NDArray[np.float64]
-    """Mean per axis, shape [2, D]."""
-    squares: NDArray[np.float64]
-    """Sum of squared deviations from the mean per axis, shape [2, D]."""
+    count: NDArray[np.int64]  # samples of v_t and of a_t, shape [2, 1]
+    mean: NDArray[np.float64]  # mean per axis, shape [2, D]
+    squares: NDArray[np.float64]  # sum of squared deviations from the mean per axis, shape [2, D]
 
     @staticmethod
     def from_samples(*samples: NDArray[np.float64]) -> "MotionStatistics":
@@ -94,11 +88,8 @@ def motion_statistics(positions: NDArray[np.floating], frame_dt: float) -> Motio
 
 
 def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistics: MotionStatistics) -> dict[str, Any]:
-    """The contents of `metadata.json` for a dataset of `entries`, which share the time between frames.
-
-    The box and the length are those of the largest; what differs between scenes is [smallest, largest].
-    name: of its definition; seed: where it was drawn; statistics: of the split of the first entry, the training's.
-    """
+    """The contents of `metadata.json` for a dataset of `entries`, which share the time between frames; what differs
+    between scenes is [smallest, largest]. seed: where it was drawn; statistics: of the split of the first entry."""
     scenes = [entry.scene for entry in entries]
     scene = scenes[0]
     materials = [asdict(member.material) for member in scenes]

@@ -30,27 +30,21 @@ from datasets.schema import Record, from_mapping
 
 STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
 """Keys of `metadata.json` that theirs shares with ours."""
-CLOSE = 1.0e-6
-"""Relative difference of two boxes that is rounding."""
+CLOSE = 1.0e-6  # relative difference of two boxes that is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignMetadata(Record):
     """What Talus uses of their `metadata.json`."""
 
-    bounds: tuple[tuple[float, float], ...]
-    """Lower and upper end of the box per axis [m]."""
-    dt: float
-    """Time between frames [s]."""
-    dx: float | None = None
-    """Spacing of the particles [m], which Talus writes."""
+    bounds: tuple[tuple[float, float], ...]  # lower and upper end of the box per axis [m]
+    dt: float  # time between frames [s]
+    dx: float | None = None  # spacing of the particles [m], which Talus writes
 
 
 def export(dataset: Path, out: Path) -> None:
-    """Write the dataset in `dataset` to the folder `out` in their layout.
-
-    Raises InputError for trajectories that do not share box, frames and spacing, and where `out` holds anything.
-    """
+    """Write a dataset to the folder `out` in their layout. Raises InputError for trajectories that do not share box,
+    frames and spacing, and where `out` holds anything."""
     files = {split: trajectory_files(dataset / split.value) for split in Split}
     described = described_as_theirs(dataset, files)
     check_empty(out)
@@ -65,25 +59,19 @@ def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) ->
     """The contents of their `metadata.json`, from scenes and shapes alone. Raises InputError."""
     content = read_metadata(dataset / "metadata.json")
     for key in STATISTICS:
-        if key not in content:
-            raise InputError("expected a value, the key is missing", where=str(dataset / "metadata.json"), key=key)
-    shared = None
-    paths = [path for split in Split for path in files[split]]
+        require(key in content, key, "a value, the key is missing", where=str(dataset / "metadata.json"))
+    shared, paths = None, [path for split in Split for path in files[split]]
     for path in paths:
         flow = open_trajectory(path)
         scene = flow.scene
-        if scene.open_sides:
-            raise InputError("expected a closed box, their format knows no other", where=str(path), key="scene")
+        require(not scene.open_sides, "scene", "a closed box, their format knows no other", where=str(path))
         this = (scene.domain.size, scene.frame_dt, len(flow.positions), scene.particle_spacing)
-        if shared is not None and this != shared:
-            expected = f"expected the box, time between frames, number of frames and spacing {shared} of {paths[0]}"
-            raise InputError(f"{expected}, got {this}", where=str(path))
+        expected = f"the box, time between frames, number of frames and spacing {shared} of {paths[0]}"
+        require(shared is None or this == shared, "", expected, this, where=str(path))
         shared = this
     if shared is None:
         raise InputError("expected trajectories in train, valid or test, there are none", where=str(dataset))
     size, frame_dt, frames, spacing = shared
-    # Of their network: five velocities, two walls an axis, an embedding of the type, and the material.
-    velocities, walls, embedding, material = 5 * len(size), 2 * len(size), 16, 1
     return {
         "bounds": [[0.0, length] for length in size],
         "dim": len(size),
@@ -91,19 +79,17 @@ def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) ->
         "dx": spacing,
         **{key: content[key] for key in STATISTICS},
         "sequence_length": frames,
-        "material_feature_len": material,
-        "nnode_in": velocities + walls + embedding + material,
+        "material_feature_len": 1,
+        # Five velocities and two walls an axis, an embedding of the type, and the material.
+        "nnode_in": 5 * len(size) + 2 * len(size) + 16 + 1,
         "nedge_in": len(size) + 1,
         "nmessage_passing_steps": 10,
     }
 
 
 def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
-    """Write the dataset in `source`, in their layout, to the folder `out`.
-
-    scene: of all trajectories; up: the axis, `y` or `z`, that points up. Raises InputError for what is no such dataset,
-    and where `out` holds anything.
-    """
+    """Write a dataset in their layout to the folder `out`; scene: of all trajectories; up: which axis is. Raises
+    InputError for what is no such dataset, and where `out` holds anything."""
     content = read_metadata(source / "metadata.json")
     check_empty(out)
     entries: list[Entry] = []
@@ -117,8 +103,7 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
         values = {key: purpose[key] for key in ForeignMetadata.__dataclass_fields__ if key in purpose}
         with naming(source / "metadata.json"):
             foreign = from_mapping(ForeignMetadata, values)
-        flows = tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True)
-        for name, sand in flows:
+        for name, sand in tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True):
             with naming(path, name):
                 fits = Path(name).name == name and name[:1] not in ("", ".")
                 require(fits, "", "a name that a file can have", repr(name))
@@ -127,22 +112,17 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
             entries.append(Entry(split=split, name=name, scene=flow.scene))
             if split is entries[0].split:
                 statistics += motion_statistics(flow.positions, flow.frame_dt)
-    if not entries:
-        raise InputError("expected trajectories in train, valid or test.npz", where=str(source))
+    require(len(entries) > 0, "", "trajectories in train, valid or test.npz", where=str(source))
     content = metadata("geoelements", entries, seed=None, statistics=statistics)
     write_json(out / "metadata.json", {**content, "exchange": {"from": "geoelements", "source": str(source), "up": up}})
 
 
 def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:
-    """The trajectory of their sand, in `scene`. Raises InputError where the scene's box is another one.
-
-    Each particle has the volume of its share of a lattice of the set's spacing; where the set names none, that is the
-    median distance to the nearest particle in the first frame.
-    """
+    """The trajectory of their sand, in `scene`; a particle has the volume of its share of a lattice of the set's
+    spacing, else of that in the first frame. Raises InputError where the scene's box is another one."""
     (positions, friction), bounds = sand, np.array(foreign.bounds)
     if up == "z":
-        if positions.shape[2] != 3:
-            raise InputError("expected a set in 3D for --up z")
+        require(positions.shape[2] == 3, "", "a set in 3D for --up z")
         positions, bounds = positions[..., [0, 2, 1]], bounds[[0, 2, 1]]
     size = bounds[:, 1] - bounds[:, 0]
     same = len(size) == scene.dimension and np.allclose(size, scene.domain.size, rtol=CLOSE)
@@ -151,8 +131,7 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
     spacing = foreign.dx or float(np.median(cKDTree(positions[0]).query(positions[0], k=2)[0][:, 1]))
     require(0.0 < spacing < np.inf, "", "particles that are apart in the first frame", f"a spacing of {spacing:g} m")
     volume = np.full(positions.shape[1], spacing**scene.dimension, np.float32)
-    if friction is None:
-        friction = np.full(positions.shape[1], scene.material.friction)
+    friction = np.full(len(volume), scene.material.friction) if friction is None else friction
     return Trajectory(
         positions=positions,
         time=np.arange(len(positions), dtype=np.float64) * foreign.dt,
@@ -174,8 +153,8 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
 def check_empty(out: Path) -> None:
     """Raise InputError where `out` is no folder or holds anything: nothing is overwritten."""
-    if out.exists() and (not out.is_dir() or any(path.name[0] != "." for path in out.iterdir())):
-        raise InputError("expected an empty folder", where=str(out))
+    empty = not out.exists() or (out.is_dir() and all(path.name[0] == "." for path in out.iterdir()))
+    require(empty, "", "an empty folder", where=str(out))
 
 
 def command(
@@ -202,12 +181,10 @@ def command(
             friction where the set has no tan(phi).
         up: With --from: the axis that points up, y or z.
     """
-    if (to is None) == (from_ is None):
-        raise InputError("expected one of --to and --from")
+    require((to is None) != (from_ is None), "", "one of --to and --from")
     if (scene is None) != (from_ is None) or (to is not None and up != "y"):
         raise InputError("--from needs --scene; --scene and --up go with --from only")
-    if not dataset.is_dir():
-        raise InputError("expected the folder of a dataset, there is none", where=str(dataset))
+    require(dataset.is_dir(), "", "the folder of a dataset, there is none", where=str(dataset))
     if scene is None:
         export(dataset, out)
     else:

@@ -24,20 +24,17 @@ from datasets.geometry.shells import manifold, sliced
 from datasets.geometry.surface import closed_body, solids_of
 from datasets.scene import Scene
 
-ALL = "gns_data"
-"""The key that holds all trajectories where it exists."""
+ALL = "gns_data"  # the key that holds all trajectories where it exists
 WHAT = "positions, particle types and perhaps a material property"
 FARTHEST = 1.0e6
 """Positions [m] beyond this mean a broken file; single precision would tell them no better than to 6 cm."""
-STEEPEST = 1.0e3
-"""A tan(phi) beyond this is none."""
+STEEPEST = 1.0e3  # a tan(phi) beyond this is none
 Sand = tuple[NDArray[np.floating], NDArray[Any] | None]
 """Positions [m], shape [T, N, D], and tan(phi), shape [N], or None where the file does not say."""
 ARRAYS = "numpy._core.multiarray"
 NAMES = {"numpy.dtype", "numpy.ndarray", f"{ARRAYS}._reconstruct", f"{ARRAYS}.scalar", "_codecs.encode"}
 """What pickled arrays of numbers, and of objects that are such arrays, call."""
-EARLIEST = (1980, 1, 1, 0, 0, 0)
-"""The date of every member: the same trajectories give the same bytes."""
+EARLIEST = (1980, 1, 1, 0, 0, 0)  # the date of every member: the same trajectories give the same bytes
 
 
 class ParticleType(IntEnum):
@@ -48,11 +45,8 @@ class ParticleType(IntEnum):
 
 
 def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
-    """Particles that stand for all that is solid in `scene`, about as far apart as the sand's [m], shape [N, D].
-
-    A lattice fills each baffle and solid, a finer one where that is thinner than the spacing of the sand. Two layers
-    follow the surface of terrain from below.
-    """
+    """Particles that stand for all that is solid in `scene`, about as far apart as the sand's [m], shape [N, D]: a
+    lattice in each baffle and solid, finer in thin ones; two layers along the terrain, from below."""
     spacing, size, planar = scene.particle_spacing, np.array(scene.domain.size), scene.dimension == 2
     parts = [np.empty((0, scene.dimension))]
     for solid, key in zip(*solids_of(scene), strict=True):
@@ -63,8 +57,7 @@ def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
         shape = shapely.Polygon(vertices) if planar else manifold(vertices, faces)
         thickness = 2.0 * (shape.area / shape.length if planar else shape.volume() / shape.surface_area())
         lattice, _ = lattice_in(vertices.min(axis=0), vertices.max(axis=0), min(spacing, thickness))
-        within = shapely.contains_xy(shape, lattice) if planar else sliced(vertices, faces, lattice)
-        parts.append(lattice[within])
+        parts.append(lattice[shapely.contains_xy(shape, lattice) if planar else sliced(vertices, faces, lattice)])
     if any(solid.kind == "terrain" for solid in scene.solids):
         lengths = size[plan_axes(scene.dimension)]
         plan, _ = lattice_in(np.zeros(len(lengths)), lengths, spacing)
@@ -75,10 +68,7 @@ def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
 
 
 def write(path: Path, flows: Iterable[tuple[str, Trajectory]]) -> None:
-    """Write a split, one trajectory in memory at a time.
-
-    Sand and, after it, the particles that stand for baffles and solids.
-    """
+    """Write a split: of each trajectory the sand and, after it, the particles that stand for baffles and solids."""
     with replacing(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, flow in flows:
             sand, obstacles = np.asarray(flow.positions), obstacle_particles(flow.scene).astype(np.float32)
@@ -92,10 +82,8 @@ def write(path: Path, flows: Iterable[tuple[str, Trajectory]]) -> None:
 
 
 def read(path: Path) -> Iterator[tuple[str, Sand]]:
-    """The sand of the trajectories of a split by name; never executes a pickle.
-
-    One is in memory at a time unless they are one array. Raises InputError, which names the file and the trajectory.
-    """
+    """The sand of the trajectories of a split by name; never executes a pickle. One is in memory at a time unless they
+    are one array. Raises InputError, which names the file and the trajectory."""
     with open_npz(path, "a whole NPZ") as archive:
         whole = read_member(archive, ALL, WHAT, ArrayUnpickler) if ALL in keys(archive) else None
         names = keys(archive) if whole is None else [f"{index:05d}" for index in range(len(whole))]
@@ -108,12 +96,8 @@ def read(path: Path) -> Iterator[tuple[str, Sand]]:
 
 
 def checked(positions: Any, types: Any, material: Any) -> Sand:
-    """The sand in what a file holds of a trajectory.
-
-    Raises InputError for anything else than positions [T, N, D], one type per particle or for all, and at most one
-    material property, tan(phi), per particle, per particle of sand (their generator leaves the obstacles out), or for
-    all.
-    """
+    """The sand in what a file holds of a trajectory. Raises InputError. A material property, tan(phi), may be one for
+    all, for each particle, or for each of sand: their generator leaves the obstacles out."""
 
     def numbers(value: Any, what: str, kinds: str) -> NDArray[Any]:
         array = np.asarray(value)
@@ -146,9 +130,7 @@ def checked(positions: Any, types: Any, material: Any) -> Sand:
 
 class ArrayUnpickler(pickle.Unpickler):
     """The object arrays of other codes: five names of NumPy's are looked up and no others, so no other is called.
-
-    https://docs.python.org/3/library/pickle.html#restricting-globals
-    """
+    https://docs.python.org/3/library/pickle.html#restricting-globals"""
 
     def find_class(self, module: str, name: str) -> Any:
         """What a name stands for here. Raises InputError."""

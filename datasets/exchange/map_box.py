@@ -18,20 +18,15 @@ from datasets.geometry.shapes import usual
 from datasets.scene.grid_field import Floats
 
 Entry = dict[str, Any]
-Ends = Sequence[tuple[float, float]]
-"""First and last post of the terrain along x and z [m]."""
+Ends = Sequence[tuple[float, float]]  # first and last post of the terrain along x and z [m]
 
-ROUNDING = 1.0e-6
-"""Part of a metre or of two cells that counts as none."""
-BENEATH, AIR = 4, 10
-"""Cells of ground beneath the lowest one of a box; of air over the highest."""
+ROUNDING = 1.0e-6  # part of a metre or of two cells that counts as none
+BENEATH, AIR = 4, 10  # cells of ground beneath the lowest one of a box; of air over the highest
 
 
 def whole_cells(lower: Floats, upper: Floats, cell: float, ends: Ends, key: str) -> Entry:
     """`size`, `cell` and `origin` of a box between two corners [m], shape [3], that has no ground but the terrain's.
-
-    Raises InputError, which names `key`, where no cell fits.
-    """
+    Raises InputError, which names `key`, where no cell fits."""
     lower, upper = lower.copy(), upper.copy()
     for axis, (first, last) in zip((0, 2), ends, strict=True):
         lower[axis], upper[axis] = max(first, lower[axis]), min(last, upper[axis])
@@ -52,11 +47,8 @@ def unit_of(cell: float) -> float:
 
 
 def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
-    """`[domain]` with an origin and a size in plan around the shapes of a file; its heights are still any.
-
-    solids: of the scene, whose terrain may name a raster in `folder`, in whose reference system the box then is. Raises
-    InputError.
-    """
+    """`[domain]` with origin and size in plan around the shapes of a file, heights still any; in the system of the
+    raster of the terrain among `solids`. Raises InputError."""
     # Half a second, which other scenes do not wait.
     from datasets.exchange.rasters import known_system, raster_system
     from datasets.exchange.vectors import read_bounds
@@ -86,10 +78,8 @@ def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
 
 
 def with_elevations(domain: Entry, data: Entry) -> Entry:
-    """A `[domain]` by `plan_around` in whole cells, as far as the terrain goes and as high as what stands in it.
-
-    data: the scene, its terrain by heights. Raises InputError for a scene without terrain there.
-    """
+    """A `[domain]` by `plan_around` in whole cells, as far as the terrain of `data` goes and as high as what stands in
+    it. Raises InputError for a scene without terrain there."""
     lower, upper = (np.array(domain["origin"]) + step * np.array(domain["size"]) for step in (0.0, 1.0))
     low, high, ends = math.inf, -math.inf, [(-math.inf, math.inf)] * 2
     for grid in filter(None, map(posts_of, entries(data, "solids"))):
@@ -112,6 +102,14 @@ def with_elevations(domain: Entry, data: Entry) -> Entry:
     if short:
         warnings.warn("domain.margin: the box ends where the terrain does", stacklevel=2)
     return domain | box
+
+
+def filled(values: Floats, spacing: Sequence[float] | None = None) -> Floats:
+    """Values at posts `spacing` [m] apart, [X, Z], holes (NaN) with those of the nearest posts."""
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(np.isnan(values), spacing, return_distances=False, return_indices=True)
+    return np.asarray(values[tuple(nearest)])
 
 
 def entries(data: Entry, group: str) -> list[Entry]:

@@ -20,20 +20,16 @@ from datasets.scene import Scene
 
 MESHES = (".stl", ".obj", ".ply", ".off", ".msh", ".vtk", ".vtu")
 """Endings of meshes: those that hold all they need and name no other file."""
-IN_PROCESS = (".stl", ".obj")
-"""Those whose readers survive any file."""
+IN_PROCESS = (".stl", ".obj")  # those whose readers survive any file
 SAME = (1.0e-9, 1.0e-7, 1.0e-6, 1.0e-5)
 """Distances of vertices that are one, over the extent of the mesh: the first with which its surface is closed."""
 
 
 def read_mesh(path: Path) -> tuple[Floats, Integers]:
-    """Vertices [V, 3] and triangles [T, 3] of the outer surface of a mesh, those at one place one vertex.
-
-    Vertices further apart are one where the surface is open without. Raises InputError, which names the file.
-    """
+    """Vertices [V, 3] and triangles [T, 3] of the outer surface of a mesh, those at one place one vertex. Vertices
+    further apart are one where the surface is open without. Raises InputError, which names the file."""
     file_size(path, "a mesh", most=LARGEST)
-    if path.suffix.lower() not in MESHES:
-        raise InputError(f"expected a mesh, a file that ends in {' '.join(MESHES)}", where=str(path))
+    require(path.suffix.lower() in MESHES, "", f"a mesh, a file that ends in {' '.join(MESHES)}", where=str(path))
     with reading(path, "a readable mesh"):
         return triangles_in(path) if path.suffix.lower() in IN_PROCESS else read_apart(path)
 
@@ -61,14 +57,9 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
 
 def read_obj(path: Path) -> tuple[Floats, Integers]:
     """Vertices [V, 3] of a Wavefront OBJ, and its polygons end to end: how many corners each has, then these from 0.
-
-    Corners may name texture and normals, and count from the end.
-
-    Raises InputError for corners that are no vertices, ValueError for what is no number.
-    """
-    text = decoded(path.read_bytes(), errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
+    Raises InputError for corners that are no vertices, ValueError for what is no number."""
     vertices, polygons = list[list[float]](), list[list[int]]()
-    for line in text.splitlines():
+    for line in decoded(path.read_bytes(), errors="replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
         kind, *words = line.split("#", 1)[0].split() or [""]
         if kind == "v":
             vertices.append([float(word) for word in words[:3]])
@@ -98,11 +89,8 @@ def begin_reader() -> None:
 
 
 def write_surface(scene: Scene, path: Path) -> None:
-    """Write the surface of all baffles and solids of a scene in 3D as a mesh: STL, OBJ, PLY, OFF, MSH, VTK or VTU.
-
-    Its coordinates count from the box's lower corner: most of these formats hold single precision. Raises InputError
-    for a scene in 2D or without solids, and for another ending.
-    """
+    """Write the surface of all baffles and solids of a scene in 3D as a mesh, from the box's lower corner on: most
+    formats hold single precision. Raises InputError without solids, in 2D, and for another ending."""
     import meshio
 
     surface = surface_of(scene)

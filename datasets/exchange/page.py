@@ -30,18 +30,14 @@ from datasets.geometry.surface import closed_body, solids_of
 from datasets.scene import Scene
 from datasets.scene.material import Material
 
-FRAMES, PARTICLES = 60, 20_000
-"""At most so many of a flow are on a page, evenly."""
-NODES = 150
-"""Of the ground along the longest side of the box, at most."""
-ERROR = "error"
-"""What two flows of the same particles have besides: their distance."""
+FRAMES, PARTICLES = 60, 20_000  # at most so many of a flow are on a page, evenly
+NODES = 150  # of the ground along the longest side of the box, at most
+ERROR = "error"  # what two flows of the same particles have besides: their distance
 SHOWN: dict[str, ColourScale] = {key.value: scale for key, scale in SCALES.items()}
 SHOWN[ERROR] = ColourScale(title="distance between the two [m]", colours="magma")
 COLOURS = ("#1b6ca8", "#d9730d")
 """Of the first and of the second flow."""
-STOPS = 12
-"""Of a colour map."""
+STOPS = 12  # of a colour map
 PAGE = Path(__file__).with_suffix(".html")
 
 
@@ -49,11 +45,9 @@ PAGE = Path(__file__).with_suffix(".html")
 class Observed:
     """What was measured of a flow's end, as far as a picture can show it."""
 
-    front: float | None = None
-    """x of the front [m]."""
+    front: float | None = None  # x of the front [m]
     x: Sequence[float] = ()
-    height: Sequence[float] = ()
-    """A profile [m]: height at x, both of shape [R]."""
+    height: Sequence[float] = ()  # a profile [m]: height at x, both of shape [R]
 
 
 class Shown:
@@ -61,16 +55,11 @@ class Shown:
 
     def __init__(self, flow: Trajectory, columns: Columns) -> None:
         self.flow, self.fields, self.columns = flow, FlowFields(flow), columns
-        count = flow.positions.shape[1]
         # At random: every so many of a lattice would be stripes.
-        self.particles = np.sort(np.random.default_rng(0).permutation(count)[:PARTICLES])
-        """Indices of those that are drawn, shape [P]."""
-        self.positions: list[NDArray[np.floating]] = []
-        """Of these [m], [T] times [P, D]."""
-        self.values: dict[str, list[NDArray[np.floating]]] = {}
-        """Fields in the unit of their colour bar, [T] times [P] each."""
-        self.heights: list[NDArray[np.float64]] = []
-        """Thickness along x [m], [T] times [S]."""
+        self.particles = np.sort(np.random.default_rng(0).permutation(flow.positions.shape[1])[:PARTICLES])  # [P]
+        self.positions: list[NDArray[np.floating]] = []  # of these [m], [T] times [P, D]
+        self.values: dict[str, list[NDArray[np.floating]]] = {}  # in the unit of their colour bar, [T] times [P]
+        self.heights: list[NDArray[np.float64]] = []  # thickness along x [m], [T] times [S]
         self.front: list[float] = []
 
     def add(self, values: Values) -> None:
@@ -115,10 +104,7 @@ def write_view(
     labels: Sequence[str] = ("A", "B"),
     observed: Observed | None = None,
 ) -> None:
-    """Write the page of a flow, or of two over each other at the times of the first.
-
-    Raises InputError where one is in 2D and the other in 3D.
-    """
+    """Write the page of a flow, or of two at the times of the first. Raises InputError for one in 2D and one in 3D."""
     flows = (flow,) if other is None else (flow, other)
     dimension = flow.scene.dimension
     for run in flows[1:]:
@@ -218,15 +204,12 @@ def coloured(key: str, top: float, materials: Sequence[Material]) -> dict[str, A
         return {"name": name, "title": given.title, "low": 0.0, "high": top, "scale": stops, "ticks": {}}
     stops = [[(index + end) / count, to_hex(map_(index % map_.N))] for index in range(count) for end in (0, 1)]
     ticks = {"tickvals": list(range(count)), "ticktext": [f"{material.friction_deg:g}°" for material in materials]}
-    ends = {"low": -0.5, "high": count - 0.5}
-    return {"name": name, "title": given.title, **ends, "scale": stops, "ticks": ticks}
+    return {"name": name, "title": given.title, "low": -0.5, "high": count - 0.5, "scale": stops, "ticks": ticks}
 
 
 def still(scenes: Sequence[Scene]) -> dict[str, Any]:
-    """What does not move: baffles and solids by their corners, of terrain the highest, at nodes over the box.
-
-    Of a second scene what the first does not have; no second terrain.
-    """
+    """What does not move: baffles and solids by their corners, of terrain the highest, at nodes over the box. Of a
+    second scene what the first does not have; no second terrain."""
     scene, parts, ground = scenes[0], [], None
     first_solids = set(solids_of(scene)[0])
     for index, current in enumerate(scenes):

@@ -15,26 +15,20 @@ from datasets.exchange.vectors import projected
 from datasets.files import LONGEST_LINE, file_size, read_text, reading
 from datasets.scene.grid_field import Floats
 
-ENDINGS = (".csv", ".xyz", ".las", ".laz")
-"""Of the files that are read, in lower case."""
+ENDINGS = (".csv", ".xyz", ".las", ".laz")  # of the files that are read, in lower case
 NAMES = (("x", "y", "z"), ("easting", "northing", "elevation"))
 """Columns of a CSV: those of a surveyor, whose z points up."""
-PORTION = 2**20
-"""Points of a LAS that are read together."""
+PORTION = 2**20  # points of a LAS that are read together
 GROUND, NOISE = 2, (7, 18)
 """Classes of points (ASPRS, LAS 1.4 R15, tables 9 and 17): the ground, and points that are none."""
-WKT, GEO_KEYS = 2112, 34735
-"""Records of a LAS that name a reference system: in WKT, or in keys of GeoTIFF."""
+WKT, GEO_KEYS = 2112, 34735  # records of a LAS that name a reference system: in WKT, or in keys of GeoTIFF
 PROJECTED_SYSTEM, USER_DEFINED = 3072, 32767
 """GeoTIFF's key of the code of a projected reference system; its value where it has none."""
 
 
 def read_points(path: Path, crs: str | None, low: Floats, high: Floats) -> Floats:
-    """Easting, northing and elevation [m] of the points between two corners of a plan [m], shape [2]; shape [N, 3].
-
-    Of a LAS those of the ground where any are classified so, else all but noise. crs: of the map, in which the points
-    are returned; a file that names none is in it. Raises InputError, which names the file.
-    """
+    """Easting, northing and elevation [m], [N, 3], of the points between two corners of a plan [m] in the system `crs`,
+    in which a file that names none is; of a LAS those of the ground, else all but noise. Raises InputError."""
     places, kinds = [], []
     for rows, classes in portions(path, crs):
         inside = ((rows[:, :2] > low) & (rows[:, :2] < high)).all(axis=1)

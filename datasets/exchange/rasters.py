@@ -21,12 +21,9 @@ from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 from datasets.scene.grid_field import Floats
 
-VALUE = 32
-"""Bytes that a value takes while a raster is read."""
-METRES = ("", "m", "metre", "metres", "meter", "meters")
-"""What a raster may call the unit of its values."""
-UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)
-"""Values that stand for no data by custom, as they are in the file."""
+VALUE = 32  # bytes that a value takes while a raster is read
+METRES = ("", "m", "metre", "metres", "meter", "meters")  # what a raster may call the unit of its values
+UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)  # values that stand for no data by custom, as they are in the file
 CLIFF, STEEP = 500.0, 10.0
 """Height of a step [m], and over the cell, beyond which values without any between are no ground: -999, 9999, 0."""
 OTHERS: dict[str | bytes, str] = {".img": "HFA", ".bil": "EHdr", ".flt": "EHdr", ".vrt": "VRT"}
@@ -46,41 +43,28 @@ LOCAL = ("LOCAL_CS", "ENGCRS")
 """How reference systems in WKT begin that lie nowhere on the earth, as GDAL names that of a raster without any."""
 HEIGHTS = re.compile(r'VERT_CS\[.*UNIT\["([^"]+)",([^\],]+)')
 """The unit of the heights of a reference system in WKT, and what one is in metres."""
-NO_ELEVATION = 2.0e4
-"""Elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38."""
-LONGEST_WORD = 40
-"""Characters of a word that are shown."""
-LENGTH, EARTH = 100.0, 6.371e6
-"""Of the map over which its scale is looked at; radius of the earth [m]."""
+NO_ELEVATION = 2.0e4  # elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38
+LONGEST_WORD = 40  # characters of a word that are shown
+LENGTH, EARTH = 100.0, 6.371e6  # of the map over which its scale is looked at; radius of the earth [m]
 DISTORTED = 0.02
 """What a metre of the map may differ from one on the ground; the earth's flattening makes up 0.5 % of it."""
-SAME_PLACE = 1.0
-"""How far two reference systems may be apart that are one for a flow [m]."""
+SAME_PLACE = 1.0  # how far two reference systems may be apart that are one for a flow [m]
 
 
 class Raster(NamedTuple):
     """Values on a regular grid."""
 
-    x: Floats
-    """Ascending [m], shape [X]."""
-    z: Floats
-    """Ascending [m], shape [Z]."""
-    values: Floats
-    """NaN in holes, shape [X, Z]."""
-    spacing: tuple[float, float]
-    """Of the grid along x and z [m]."""
-    corner: tuple[float, float]
-    """Lower left corner of the extent in the file's own coordinates [m]."""
-    crs: str | None
-    """Coordinate reference system, as an authority's code or in WKT, where it names one."""
+    x: Floats  # ascending [m], shape [X]
+    z: Floats  # ascending [m], shape [Z]
+    values: Floats  # NaN in holes, shape [X, Z]
+    spacing: tuple[float, float]  # of the grid along x and z [m]
+    corner: tuple[float, float]  # lower left corner of the extent in the file's own coordinates [m]
+    crs: str | None  # coordinate reference system, as an authority's code or in WKT, where it names one
 
 
 def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
-    """A raster of one band whose rows run from west to east, in metres on the ground. Raises InputError.
-
-    Scale and offset of its band are applied. Values that no elevation or thickness has are no data, also where the file
-    does not say so, which a warning then does; of `coefficients`, which are no lengths, UNDECLARED ones alone.
-    """
+    """A raster of one band in metres on the ground, rows from west to east, scale and offset applied. Values that no
+    length has are no data, which a warning says; of `coefficients` UNDECLARED ones alone. Raises InputError."""
     with opened(path) as file:
         require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
         if file.driver == "AAIGrid":
@@ -93,8 +77,7 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
     require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
     require(bands == 1, "", "a raster of one band", bands)
     unit = (height_unit(crs) if crs else "") or unit
-    known_unit = coefficients or unit is None or unit.lower() in METRES
-    require(known_unit, "", "elevations in metres", repr(unit))
+    require(coefficients or unit is None or unit.lower() in METRES, "", "elevations in metres", repr(unit))
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
     require(name.lower() in METRES, "", "a projected coordinate system in metres", f"one in {name}")
     require(georeferenced, "", "a raster that says where it lies and how large its cells are", "one that does not")
@@ -144,10 +127,7 @@ def system_of(file: Any) -> CRS | None:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """A raster as rasterio has it; a mosaic (.vrt) opens the files that it names, on this machine alone.
-
-    Raises InputError for what goes wrong in the block, too.
-    """
+    """A raster as rasterio has it, of a mosaic (.vrt) on this machine alone. Raises InputError, also for the block."""
     file_size(path, "a raster", most=LARGEST)
     with reading(path, "a readable raster"), warnings.catch_warnings(), ExitStack() as stack:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -253,10 +233,8 @@ def carried(source: Any, target: Any, east: Sequence[float], north: Sequence[flo
 def write_raster(
     path: Path, values: Floats, cell: float, corner: Sequence[float], crs: str | None, name: str, unit: str
 ) -> None:
-    """Write `values` [X, Z] on square cells of an edge `cell` [m], from `corner` on (east, north), as a GeoTIFF.
-
-    Rows run from the north (large z) to the south, columns to the east (x); NaN is no data. Raises WorkFailed.
-    """
+    """Write `values` [X, Z] on square cells of an edge `cell` [m], from `corner` on (east, north), as a GeoTIFF. Rows
+    run from the north (large z) to the south, columns to the east (x); NaN is no data. Raises WorkFailed."""
     rows = np.ascontiguousarray(values.T[::-1], np.float32)
     (height, width), (east, north) = rows.shape, corner
     profile: dict[str, Any] = {"driver": "GTiff", "compress": "deflate", "predictor": 3, "count": 1, "dtype": "float32"}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError, keyed, naming, require
-from datasets.exchange.map_box import plan_around, posts_of, with_elevations
+from datasets.exchange.map_box import filled, plan_around, posts_of, with_elevations
 from datasets.exchange.meshes import read_mesh
 from datasets.exchange.spreadsheet import read_columns
 from datasets.geometry.ground import BEYOND, TOUCHING, Floats
@@ -21,21 +21,16 @@ from datasets.schema import from_mapping
 
 Entry = dict[str, Any]
 
-BED = ("friction", "turbulence")
-"""Keys of a terrain in 3D that may name rasters."""
-NEARLY = 1.0e-6
-"""Part of a raster's cell that counts as none."""
-WATER = "water table"
-"""What the reader calls `water`, a table without a kind."""
+BED = ("friction", "turbulence")  # keys of a terrain in 3D that may name rasters
+NEARLY = 1.0e-6  # part of a raster's cell that counts as none
+WATER = "water table"  # what the reader calls `water`, a table without a kind
 FILES = {"terrain": "file", "layer": "thickness", "mesh": "file", INFLOW: "file", WATER: "table"}
 """The key that names the file of a kind."""
 
 
 def with_files(data: Entry, folder: Path) -> Entry:
-    """The keys of a scene with what its files hold in place of their names. Raises InputError.
-
-    folder: where relative paths begin. What is wrong with other keys is left to the scene's own checks.
-    """
+    """The keys of a scene with what its files hold in place of their names. Raises InputError. folder: where relative
+    paths begin. What is wrong with other keys is left to the scene's own checks."""
     if not isinstance(data.get("domain"), dict):
         return data
     domain, new = data["domain"], dict(data)
@@ -62,8 +57,7 @@ class Reader:
 
     def __init__(self, domain: Domain, folder: Path) -> None:
         self.folder, self.size, self.cell, self.crs = folder, domain.size, domain.cell, domain.crs
-        self.lower = None if domain.origin is None else domain.origin[::2]
-        """Of the box in plan [m], where the scene is in map coordinates."""
+        self.lower = None if domain.origin is None else domain.origin[::2]  # in plan [m], in map coordinates
         self.offset: tuple[float, float] | None = None if self.lower is None else (0.0, 0.0)
         if domain.crs is not None:
             from datasets.exchange.rasters import known_system
@@ -115,11 +109,8 @@ class Reader:
         return entry
 
     def at_posts(self, path: Path, terrain: Entry) -> Any:
-        """A raster of a coefficient of the bed at the posts of a terrain, bilinear between the centres of its cells:
-        rows as of its heights, or the one number that all have.
-
-        It lies where the terrain's raster does. Raises InputError for posts in the box that no value is for.
-        """
+        """A raster of a coefficient of the bed, which lies as the terrain's, at the posts of a terrain, bilinear: rows
+        as of its heights, or the one number that all have. Raises InputError for posts in the box without a value."""
         from scipy.ndimage import map_coordinates
 
         from datasets.exchange.rasters import read_raster, same_system
@@ -140,17 +131,13 @@ class Reader:
         counts = zip(axes, raster.values.shape, strict=True)
         within = [(axis > -0.5 - NEARLY) & (axis < n - 0.5 + NEARLY) for axis, n in counts]
         values[~np.logical_and.outer(*within)] = np.nan
-        # So that one value stays one.
-        values = np.round(self.around_box(posts, values)[1], 9)
+        values = np.round(self.around_box(posts, values)[1], 9)  # so that one value stays one
         return float(values[0, 0]) if np.ptp(values) == 0.0 else values.tolist()
 
     def field(self, path: Path, at: list[float] | None, name: str) -> Entry:
         """A raster as keys of a solid or a mass: of a terrain what lies in and around the box, of a layer where it is.
-
-        Its corner stands `at` a place [m], else where its file says in a scene in map coordinates, else beside the
-        terrain's, else at x = z = 0. Raises InputError for holes of a terrain in the box, and for another reference
-        system than the scene's.
-        """
+        Its corner stands `at` a place [m], else where its file says on a map, else beside the terrain's, else at x = z
+        = 0. Raises InputError for holes of a terrain in the box, and for another reference system."""
         # Half a second, which a scene without rasters does not wait.
         from datasets.exchange.rasters import read_raster, same_system
 
@@ -168,8 +155,7 @@ class Reader:
             axes, values = self.around_box(axes, values)
             self.offset = offset if terrain and self.lower is None else self.offset
         else:
-            # A cell without data, or without material, is no layer.
-            values = np.nan_to_num(values, nan=0.0)
+            values = np.nan_to_num(values, nan=0.0)  # a cell without data, or without material, is no layer
             require(bool(values.any()), "", "a raster with some thickness", "none")
             parts = [np.flatnonzero(values.any(axis=1 - axis)) for axis in (0, 1)]
             ranges = [slice(part[0], part[-1] + 1) for part in parts]
@@ -182,12 +168,8 @@ class Reader:
         return entry
 
     def around_box(self, axes: list[Floats], values: Floats) -> tuple[list[Floats], Floats]:
-        """What of a terrain [X, Z] lies in and around the box, two values an axis at least; there without holes.
-
-        Holes beyond the box have the elevation of the nearest value. Raises InputError for those in it.
-        """
-        from scipy.ndimage import distance_transform_edt
-
+        """What of a terrain [X, Z] lies in and around the box, two values an axis at least; there without holes. Holes
+        beyond the box have the elevation of the nearest value. Raises InputError for those in it."""
         parts, margin = [], BEYOND * self.cell
         lower = (0.0, 0.0) if self.lower is None else self.lower
         for axis, start, length in zip(axes, lower, self.size[::2], strict=True):
@@ -208,8 +190,7 @@ class Reader:
             where = f"{len(missing)} cells without data, the first at x = {x[i]:.10g}, z = {z[k]:.10g}"
             raise InputError(f"expected a raster without holes in the box, got {where}")
         require(not holes.all(), "", "a raster with values around the box", "none")
-        nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
-        return axes, np.asarray(values[tuple(nearest)])
+        return axes, filled(values)
 
 
 def refuse(entry: Entry, names: tuple[str, ...], key: str, expected: str = "no such key without a file") -> None:

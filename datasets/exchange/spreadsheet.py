@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from datasets.errors import InputError, require
 from datasets.files import FARTHEST, LONGEST_LINE, read_text, reading
 
-SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-"""Between the columns: those that a header may have."""
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}  # between the columns: those that a header may have
 UNITS = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254},
     "time": {"s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0},
@@ -33,8 +32,7 @@ UNITS = {
 """Of each quantity: its units, and what one is in SI."""
 NAMED = re.compile(r"(?P<name>[^\[(]*?)\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\))?\s*")
 """A column's header: its name, and perhaps its unit in brackets."""
-CONTROL = dict.fromkeys((*range(32), 127), "?")
-"""Characters that a terminal does not show: of a file that is no text."""
+CONTROL = dict.fromkeys((*range(32), 127), "?")  # characters that a terminal does not show: of a file that is no text
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
 
 
@@ -47,13 +45,10 @@ def read_columns(
     metres: float = 1.0,
     blanks: bool = False,
 ) -> dict[str, NDArray[np.float64]]:
-    """Columns of a table with a header, each of shape [R]: `needed` ones, then `optional` ones that are there.
-
-    others: whether the file may have more columns, of anything. metres: the length in which columns without a unit of
-    their own are, and in which those that have one are returned; times are in seconds. blanks: whether empty rows and
-    cells are NaN; else rows are left out, cells refused. Lines that begin with # are comments. Raises InputError, which
-    names the file.
-    """
+    """Columns of a table with a header, each of shape [R]: `needed` ones, then `optional` ones that are there; lines
+    that begin with # are comments. others: whether there may be more columns. metres: the length in which columns
+    without a unit are, and in which those with one are returned; times are in seconds. blanks: whether empty rows and
+    cells are NaN; else rows are left out, cells refused. Raises InputError, which names the file."""
     text = read_text(path, "a CSV", windows=True)
     with reading(path, "a readable CSV"):
         lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line[:1] != "#"]
@@ -93,10 +88,8 @@ def read_columns(
 
 
 def described(header: Sequence[str], metres: float) -> tuple[list[str], list[float | None], list[str]]:
-    """Names of columns, factors on their numbers (None: of no known unit), and their units, empty where absent.
-
-    A name is in lower case unless another column has it so.
-    """
+    """Names of columns, in lower case unless another column has one so, factors on their numbers (None: of no known
+    unit), and their units, empty where absent."""
     names, factors, units = [], list[float | None](), []
     parts = [(cell, NAMED.fullmatch(cell)) for cell in header]
     spelled = [cell if found is None else found["name"] for cell, found in parts]
@@ -114,10 +107,7 @@ def described(header: Sequence[str], metres: float) -> tuple[list[str], list[flo
 def numbers(
     line: int, row: Sequence[str], count: int, places: Sequence[int], separator: str, blanks: bool
 ) -> tuple[list[float], bool]:
-    """The numbers in some columns of a row, and whether any has a decimal comma. Raises InputError.
-
-    blanks: whether what is empty is NaN.
-    """
+    """The numbers in some columns of a row, NaN of empty `blanks`, and whether any has a comma. Raises InputError."""
     cells, commas = [cell.strip() for cell in row], False
     if blanks and not any(cells):
         return [math.nan] * len(places), False

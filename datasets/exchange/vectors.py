@@ -15,8 +15,7 @@ from shapely import Polygon
 from datasets.errors import naming, require
 from datasets.files import file_size, reading
 
-LARGEST = 2**28
-"""Bytes of a file."""
+LARGEST = 2**28  # bytes of a file
 BEGINNINGS = {
     ".shp": rb"\x00\x00\x27\x0a",
     ".gpkg": rb"SQLite format 3\x00",
@@ -25,19 +24,18 @@ BEGINNINGS = {
     ".kml": rb"(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<kml",
 }
 """How files of these endings begin: GDAL goes by what is in them, and some formats name other files."""
-LAYER = "|layername="
-"""Between the name of a file and that of one of its layers, as QGIS has it."""
+LAYER = "|layername="  # between the name of a file and that of one of its layers, as QGIS has it
 MOST_DEGREES = 360.0
 """Coordinates beyond it are no degrees: GeoJSON without a reference system counts as degrees for GDAL."""
+
+Shape = tuple[shapely.Geometry, dict[str, Any], str]
 
 
 class Feature(NamedTuple):
     """A polygon with what the file says of it."""
 
-    polygon: Polygon
-    """In metres."""
-    attributes: dict[str, Any]
-    """Names in lower case."""
+    polygon: Polygon  # in metres
+    attributes: dict[str, Any]  # names in lower case
 
 
 def read_polygons(path: Path, crs: str | None) -> list[Feature]:
@@ -65,13 +63,10 @@ def read_bounds(path: Path, crs: str | None) -> tuple[float, float, float, float
     return west, south, east, north
 
 
-def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Geometry, dict[str, Any], str]]:
-    """The shapes of a file, their attributes, names in lower case, and their layers, in the system `crs` in metres.
-
-    path: of the file, or of one layer of it as QGIS has it, FILE|layername=NAME. crs: of the map, as an authority's
-    code or in WKT; None of a map that names none, in which the file then is too. A file that names none is in that of
-    the map. Raises InputError.
-    """
+def read_shapes(path: Path, crs: str | None, what: str) -> list[Shape]:
+    """The shapes of a file, or of its layer in FILE|layername=NAME as QGIS has it, with their attributes, names in
+    lower case, and layers; in metres in the system `crs` of the map, in which a file that names none is. Raises
+    InputError."""
     import pyogrio
 
     name, _, chosen = str(path).partition(LAYER)
@@ -88,9 +83,7 @@ def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Ge
     return [shape for layer in ([chosen] if chosen else layers) for shape in shapes_of(path, layer, crs, what)]
 
 
-def shapes_of(
-    path: Path, layer: str, crs: str | None, what: str
-) -> Iterator[tuple[shapely.Geometry, dict[str, Any], str]]:
+def shapes_of(path: Path, layer: str, crs: str | None, what: str) -> Iterator[Shape]:
     """What `read_shapes` says of one layer."""
     import pyogrio
 

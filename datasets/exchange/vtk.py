@@ -17,8 +17,7 @@ from datasets.flow.trajectory import Trajectory
 from datasets.geometry.surface import surface_of
 from datasets.scene import Baffle, Mass, Scene
 
-# VTK takes half a second to import: only who writes or draws pays for it.
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # VTK takes half a second to import: only who writes or draws pays for it
     import pyvista
 
 SERIES = "trajectory.pvd"
@@ -28,8 +27,7 @@ UNITS = {"velocity": "m/s", "displacement": "m", "friction_deg": "deg", "impulse
 UNITS |= dict.fromkeys(("stress", "pressure", "pore_pressure"), "Pa")
 UNITS |= dict.fromkeys(("plastic_strain", "material", "solid", "friction"), "1")
 """Of the arrays; of impulse and force in 2D per metre of width."""
-MOVING = "particles"
-"""The part whose geometry changes."""
+MOVING = "particles"  # the part whose geometry changes
 ACTIVE = {MOVING: "velocity", "solids": "force"}
 """The vectors that ParaView takes for glyphs where none are chosen, of each part."""
 
@@ -40,8 +38,7 @@ class Meshes:
     def __init__(self, trajectory: Trajectory) -> None:
         self.trajectory, self.fields, scene = trajectory, FlowFields(trajectory), trajectory.scene
         solids = ("solids",) if scene.baffles or scene.solids else ()
-        self.parts: tuple[str, ...] = (MOVING, *solids, "domain")
-        """What there is to draw, the same in every frame."""
+        self.parts: tuple[str, ...] = (MOVING, *solids, "domain")  # the same in every frame
 
     def part(self, name: str, frame: int, since: int) -> "pyvista.PolyData":
         """The part `name` at `frame`: particles with their fields, a vertex each, the edges of the box, or the solids.
@@ -83,10 +80,8 @@ class Meshes:
 
 
 def spatial(vectors: NDArray[Any], width: int = 3) -> NDArray[Any]:
-    """Vectors of any dimension with three components, shape [N, D] -> [N, 3]; of a stress with six.
-
-    VTK orders a symmetric tensor as we do: xx, yy, zz, xy, yz, zx.
-    """
+    """Vectors of any dimension with three components, shape [N, D] -> [N, 3]; of a stress with six. VTK orders a
+    symmetric tensor as we do: xx, yy, zz, xy, yz, zx."""
     return np.pad(vectors, ((0, 0), (0, width - vectors.shape[1])))
 
 
@@ -102,11 +97,8 @@ def edges(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyDat
 
 
 def extent(scene: Scene, positions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Corners [m], shape [3] each, of what is drawn, with some air; up to the walls where these are near.
-
-    That is the flow at `positions` [m], shape [T, N, D], the masses, the baffles and the solids but for terrain, which
-    is everywhere.
-    """
+    """Corners [m], shape [3] each, of what is drawn with some air, up to walls that are near: the flow at `positions`
+    [m], [T, N, D], masses, baffles and solids but for terrain, which is everywhere."""
     size = np.array(scene.domain.size)
     boxes: list[Mass | Baffle] = [*scene.masses, *scene.baffles]
     corners = [np.array(box.lower) for box in boxes] + [np.add(box.lower, box.size) for box in boxes]
@@ -132,11 +124,9 @@ def frames_of(trajectory: Trajectory, every: int) -> list[int]:
 
 
 def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, progress: bool = False) -> None:
-    """Write `folder/trajectory.pvd` and the files that it refers to: every `every`-th frame, and the last.
-
-    Points are in map coordinates, in double precision, where the scene's box has an origin. An older series in the
-    folder stays whole until all files of the new one are written, then goes with all its frames. Raises WorkFailed.
-    """
+    """Write `folder/trajectory.pvd` and its files: every `every`-th frame, and the last; in map coordinates, in double
+    precision, where the box has an origin. An older series stays whole until the new one is written, then goes with all
+    its frames. Raises WorkFailed."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     series = ElementTree.Element("VTKFile", type="Collection", version="0.1", byte_order="LittleEndian")

@@ -11,30 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import memory
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.files import file_size, reading, replacing
 
-# Most commands read NPZ alone.
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # most commands read NPZ alone
     import h5py
 
 HDF5 = ".h5"
-CHUNK = 2**16
-"""Bytes that a chunk of HDF5 holds at least."""
-PIECE = 2**20
-"""Bytes that are read at once for a check sum."""
-HEADERS = 2**17
-"""Bytes that the headers of a member of an NPZ take at most."""
+CHUNK = 2**16  # bytes that a chunk of HDF5 holds at least
+PIECE = 2**20  # bytes that are read at once for a check sum
+HEADERS = 2**17  # bytes that the headers of a member of an NPZ take at most
 DEFLATED: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 TEXTS = ("scene", "summary")
 WHAT = "a trajectory"
 
 
 class FrameWriter:
-    """An HDF5 file that grows as frames are computed, and takes its place when the block ends.
-
-    Memory holds no more frames than one call appends.
-    """
+    """An HDF5 file that grows as frames are computed, no more in memory than one call appends, and is there at the
+    end."""
 
     def __init__(self, path: str | Path) -> None:
         self._path, self._stack = Path(path), ExitStack()
@@ -117,10 +111,8 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def read_arrays(path: Path, *names: str, optional: tuple[str, ...] = (), what: str = WHAT) -> dict[str, NDArray[Any]]:
-    """The arrays `names` of an NPZ or HDF5 file and, where they are there, `optional`; all where none is named.
-
-    Never runs a pickle. Raises InputError.
-    """
+    """The arrays `names` of an NPZ or HDF5 file and, where they are there, `optional`; all where none is named. Never
+    runs a pickle. Raises InputError."""
 
     def chosen(there: Collection[str]) -> list[str]:
         return [*names, *(name for name in optional if name in there)] or list(there)
@@ -137,11 +129,9 @@ def read_arrays(path: Path, *names: str, optional: tuple[str, ...] = (), what: s
 
 
 def open_frames(path: Path, key: str, *, sound: bool = False) -> NDArray[Any]:
-    """The frames `key` of an NPZ or HDF5 file, read when they are used and no sooner; read-only.
-
-    From an NPZ a memory map, or the whole array where it is compressed or not float32; from HDF5 `Frames`. The file
-    stays open for as long as they are in use. sound: read an NPZ once, against its check sum. Raises InputError.
-    """
+    """The frames `key` of an NPZ or HDF5 file, read when they are used; read-only. sound: read an NPZ once, against its
+    check sum. From an NPZ a memory map, or the whole array where it is compressed or not float32; from HDF5 `Frames`,
+    whose file stays open. Raises InputError."""
     if path.suffix == HDF5:
         import h5py
 
@@ -155,11 +145,9 @@ def open_frames(path: Path, key: str, *, sound: bool = False) -> NDArray[Any]:
         if place.compress_type == zipfile.ZIP_STORED:
             if sound:
                 with archive.open(place) as stream:
-                    # At its end the library compares the sums.
-                    while stream.read(PIECE):
+                    while stream.read(PIECE):  # at its end the library compares the sums
                         pass
-            # NumPy's own header stands behind that of the archive.
-            file.seek(place.header_offset)
+            file.seek(place.header_offset)  # NumPy's own header stands behind that of the archive
             file.seek(place.header_offset + file.read(HEADERS).index(np.lib.format.MAGIC_PREFIX))
             shape, fortran, kind = read_header(file)
             if kind == np.float32:
@@ -186,8 +174,7 @@ def keys(archive: zipfile.ZipFile) -> list[str]:
 
 def member(archive: zipfile.ZipFile, key: str) -> zipfile.ZipInfo:
     """Where an array lies in an NPZ. Raises InputError where there is none."""
-    if key not in keys(archive):
-        raise InputError("expected an array, the key is missing", where=str(archive.filename), key=key)
+    require(key in keys(archive), key, "an array, the key is missing", where=str(archive.filename))
     return archive.getinfo(f"{key}.npy")
 
 
@@ -215,8 +202,7 @@ def plain_array(file: "h5py.File", key: str) -> "h5py.Dataset":
     import h5py
 
     array = file.get(key)
-    if not isinstance(array, h5py.Dataset) or array.dtype.kind not in "biuf":
-        raise InputError("expected an array of numbers", key=key)
+    require(isinstance(array, h5py.Dataset) and array.dtype.kind in "biuf", key, "an array of numbers")
     return array
 
 

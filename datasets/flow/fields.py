@@ -15,12 +15,9 @@ from datasets.scene.particles import initial_particles
 
 Values = dict[str, NDArray[Any]]
 """Of the particles by name, shape [N] or [N, D] each."""
-RECORDED = ("stress", "pressure", "plastic_strain", "pore_pressure")
-"""Fields that a run may have recorded."""
-CONSTANT = ("material", "friction_deg")
-"""Fields that do not change."""
-RANGE_QUANTILE = 0.995
-"""A colour bar ends at this quantile of the particles of its frames: no single particle decides."""
+RECORDED = ("stress", "pressure", "plastic_strain", "pore_pressure")  # fields that a run may have recorded
+CONSTANT = ("material", "friction_deg")  # fields that do not change
+RANGE_QUANTILE = 0.995  # a colour bar ends at this quantile of the particles of its frames: no single particle decides
 
 
 class Colour(StrEnum):
@@ -77,10 +74,8 @@ class FlowFields:
 
     @cached_property
     def material(self) -> NDArray[np.int32]:
-        """Index into `materials` of each particle, shape [N].
-
-        Where the trajectory does not say its mass, that of the nearest of the scene's own particles at the start.
-        """
+        """Index into `materials` of each particle, shape [N]. Where the trajectory does not say its mass, that of the
+        nearest of the scene's own particles at the start."""
         from scipy.spatial import cKDTree
 
         scene = self.trajectory.scene
@@ -98,11 +93,9 @@ class FlowFields:
         return measures.particle_spacing(self.trajectory.volumes, self.trajectory.scene.dimension)
 
     def velocity(self, frame: int) -> NDArray[np.float32] | None:
-        """Velocities at `frame` [m/s], shape [N, D]: as recorded, or else finite differences of the frames.
-
-        These are central; at the last frame backward; the first frame has the initial velocities where it is the start,
-        else there are none. So has a particle that enters after the frame before.
-        """
+        """Velocities at `frame` [m/s], shape [N, D]: as recorded, or else finite differences of the frames, central, at
+        the last frame backward. At the start, and of a particle that entered after the frame before, the initial ones;
+        None at a first frame that is not the start."""
         trajectory = self.trajectory
         if trajectory.velocities is not None:
             return np.asarray(trajectory.velocities[frame])
@@ -127,10 +120,8 @@ class FlowFields:
         return {key: array for key, array in values.items() if array is not None}
 
     def at_time(self, time: float) -> Values:
-        """The `position` and all that is known of the particles at a time [s], and which have `entered`.
-
-        Linear between frames; beyond them the first one's or the last one's.
-        """
+        """The `position` and all that is known of the particles at a time [s], and which have `entered`. Linear between
+        frames; beyond them the first one's or the last one's."""
         flow = self.trajectory
         (before,), (share,) = (bracket.tolist() for bracket in brackets(flow.time, np.array([time])))
         first, second = (
@@ -147,11 +138,8 @@ class FlowFields:
 
 
 def pairs(one: FlowFields, other: FlowFields) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Indices into both flows of the particles that began at the same place: all P of the one that has fewer.
-
-    Of as many particles those of a number, no farther apart than neighbours are: another jitter is the same particle.
-    None where some have no such partner.
-    """
+    """Indices into both flows of the particles that began at the same place: all of the one that has fewer; None where
+    some have no partner. Of as many those of a number, no farther apart than neighbours are: so is another jitter."""
     from scipy.spatial import cKDTree
 
     few, many = sorted((one, other), key=lambda flow: len(flow.start))

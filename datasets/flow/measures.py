@@ -52,9 +52,7 @@ def runout(positions: Positions) -> float:
 
 def front(positions: Positions, volume: float | Volumes = 1.0) -> float:
     """The x [m] that 99.5 % of the volume is behind, by a fit, at most the runout; volume: one for all or shape [N].
-
-    Beyond a gap before a few particles the fit would lead out of the box.
-    """
+    Beyond a gap before a few particles the fit would lead out of the box."""
     x = positions[:, 0].astype(np.float64)
     order = np.argsort(x)
     return min(float((tail_weights(np.broadcast_to(volume, x.shape)[order]) * x[order]).sum()), float(x.max()))
@@ -71,10 +69,8 @@ def extents(scene: Scene, positions: Positions, volume: float | Volumes) -> dict
 
 
 def tail_weights(volume: Volumes) -> Floats:
-    """Weights w [-], shape [N], with which sum_i w_i x_i is the front of particles in the order of x.
-
-    volume: of the particles in this order. w_i is the integral of the fit's weight over the particle's step.
-    """
+    """Weights w [-], shape [N], with which sum_i w_i x_i is the front of particles in the order of x. volume: of the
+    particles in this order. w_i is the integral of the fit's weight over the particle's step."""
     behind = np.append(0.0, np.cumsum(volume, dtype=np.float64))
     ahead = 1.0 - np.clip(behind / behind[-1], *TAIL)
     powers = np.array([0.0, 0.5, 1.0])
@@ -196,19 +192,15 @@ def bulk(positions: Positions, spacing: float, own_volume: float, column: float)
 
 
 def overlap(one: Floats, other: Floats) -> float:
-    """Plan that two deposits have in common over that of both [-], by their thickness in the same columns.
-
-    A column is covered where it is thicker than `OUTLINE` times the largest thickness of the first.
-    """
+    """Plan that two deposits have in common over that of both [-], by their thickness in the same columns. A column is
+    covered where it is thicker than `OUTLINE` times the largest thickness of the first."""
     covered, its = one > OUTLINE * one.max(), other > OUTLINE * one.max()
     return 1.0 - int((covered ^ its).sum()) / max(1, int((covered | its).sum()))
 
 
 def error(title: str, unit: str = "%", *, exact: float = 0.0, signed: bool = False, **default: Any) -> Any:
-    """A field of `Errors`: its title in tables, a unit of `FACTORS`, its exact value, whether it has a sign.
-
-    Tables, logs and cards of models take their columns from these: to add an error is to add its field.
-    """
+    """A field of `Errors`: its title in tables, a unit of `FACTORS`, its exact value, whether it has a sign. Tables,
+    logs and cards of models take their columns from these: to add an error is to add its field."""
     return field(metadata={"title": title, "unit": unit, "exact": exact, "sign": "+" if signed else ""}, **default)
 
 
@@ -305,17 +297,15 @@ class Deposit:
     def errors(self, positions: Positions, volume: Volumes) -> Errors:
         """Those of another deposit of the same scene; thickness over a spacing where nothing lies in the box."""
         beyond = ends(positions, volume)[self.side] - self.front
-        apart = transport_distance(positions, volume, self.positions, self.volume)
         deposits = ((self.positions, self.volume), (positions, volume))
         raised = [above(places, self.ground) for places, _ in deposits]
         spacings = [particle_spacing(volumes, len(self.size)) for _, volumes in deposits]
         column = COLUMN * max(spacings)
         reference, other = (thickness(*pair, column, self.size[::2]) for pair in zip(raised, spacings, strict=True))
-        height = mean_height(raised[0], self.volume)
         return Errors(
             front=(beyond if self.side == 1 else -beyond) / self.extent,
-            profile=apart / self.extent,
-            height=mean_height(raised[1], volume) / height - 1.0,
+            profile=transport_distance(positions, volume, self.positions, self.volume) / self.extent,
+            height=mean_height(raised[1], volume) / mean_height(raised[0], self.volume) - 1.0,
             thickness=thickness_apart(reference, other) / (float(reference.max()) or max(spacings)),
             overlap=overlap(reference, other),
         )
@@ -328,14 +318,10 @@ def thickness_apart(one: Floats, other: Floats) -> float:
 
 
 def creep(positions: Positions, step: float) -> float:
-    """Speed of a deposit [m/s] in a run that goes on until `AFTER` times the duration of its flow.
-
-    The rms over the particles of how far it moves after the flow, over that time. positions: [m], shape [T, N, D];
-    step: between two of them [s].
-    """
+    """Speed of a deposit [m/s] in a run until `AFTER` times the duration of its flow: rms over the particles of how far
+    each moves after the flow, over that time. positions: [m], shape [T, N, D]; step: between two of them [s]."""
     steps = (len(positions) - 1) // AFTER
-    moved = np.linalg.norm(positions[-1] - positions[steps], axis=1)
-    return rms(moved) / ((len(positions) - 1 - steps) * step)
+    return rms(np.linalg.norm(positions[-1] - positions[steps], axis=1)) / ((len(positions) - 1 - steps) * step)
 
 
 def rms(values: NDArray[np.floating]) -> float:

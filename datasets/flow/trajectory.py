@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, naming, require
+from datasets.errors import naming, require
 from datasets.files import FARTHEST, json_object
 from datasets.flow.array_files import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.scene import Scene, keyed
@@ -19,8 +19,7 @@ from datasets.scene.particles import particle_volumes
 
 Floats = NDArray[np.float32]
 
-SUFFIXES = (".npz", HDF5)
-"""Of the files of trajectories."""
+SUFFIXES = (".npz", HDF5)  # of the files of trajectories
 STORED: dict[str, tuple[type, str]] = {
     "time": (np.float64, "T"),
     "velocity0": (np.float32, "ND"),
@@ -100,15 +99,12 @@ class Trajectory:
 
     @property
     def frame_dt(self) -> float:
-        """Time between two frames that were kept [s], the scene's where there is one frame alone.
-
-        Raises InputError where the frames are not evenly spaced in time.
-        """
+        """Time between two frames that were kept [s], the scene's where there is one frame alone. Raises InputError
+        where the frames are not evenly spaced in time."""
         if len(self.time) == 1:
             return self.scene.frame_dt
         steps = np.diff(self.time)
-        if np.ptp(steps) > 1.0e-6 * steps[0]:
-            raise InputError("expected frames evenly spaced in time, they are not", key="time")
+        require(bool(np.ptp(steps) <= 1.0e-6 * steps[0]), "time", "frames evenly spaced in time, they are not")
         return float((self.time[-1] - self.time[0]) / len(steps))
 
     def arrays(self) -> dict[str, NDArray[Any] | str]:
@@ -155,11 +151,8 @@ class Trajectory:
 
 def open_trajectory(path: str | Path, *fields: str, sound: bool = False) -> Trajectory:
     """The trajectory at `path`, its positions read when they are used, without the summary and recorded fields but
-    `fields`, where they are there.
-
-    Of the positions the first and the last frame are checked; sound: all are, against the check sum of an NPZ, by who
-    uses frames from everywhere. Raises InputError, which names the file and the key.
-    """
+    `fields`, where they are there. Of the positions the first and the last frame are checked; sound: all are, against
+    the check sum of an NPZ. Raises InputError, which names the file and the key."""
     path = Path(path)
     needed = [key for key in REQUIRED if key != "positions"]
     arrays = read_arrays(path, *needed, optional=("volume", "mass", "entry_time", *fields))
@@ -198,11 +191,10 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
         fits = bool(mass.min() >= 0 and mass.max() < len(scene.masses))
         expected = f"the index of one of {len(scene.masses)} masses for each of {particles} particles"
         require(fits, "mass", expected, "others")
-    summary = json_object(str(arrays.get("summary", "{}")), "summary")
     return Trajectory(
         positions=positions if lazily and positions.dtype == np.float32 else np.asarray(positions, np.float32),
         scene=scene,
-        summary=summary,
+        summary=json_object(str(arrays.get("summary", "{}")), "summary"),
         **{key: arrays[key].astype(kind, copy=False) for key, (kind, _) in STORED.items() if key in arrays},
     )
 

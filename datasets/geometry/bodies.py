@@ -19,43 +19,32 @@ from numpy.typing import NDArray
 
 from datasets.errors import require
 from datasets.geometry.closed import Body
-from datasets.geometry.ground import TOUCHING, Floats, elevation, plan_axes
+from datasets.geometry.ground import TOUCHING, Floats, Solids, elevation, plan_axes
 from datasets.geometry.inflow import Inflow, inflow, until
 from datasets.geometry.rings import check_simple
 from datasets.geometry.shapes import check_grid, check_shape
 from datasets.geometry.shells import manifold, outward, sliced
 from datasets.memory import require as require_memory
-from datasets.scene.parts import INFLOW, TOLERANCE, Domain, Mass, SceneLayout, Solid, keyed
+from datasets.scene.parts import INFLOW, TOLERANCE, Domain, Mass, SceneLayout, keyed
 from datasets.schema import FARTHEST
 
-LATTICE = 40
-"""Bytes that a coordinate of a lattice takes while it is made."""
+LATTICE = 40  # bytes that a coordinate of a lattice takes while it is made
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Filling:
     """The particles of a body, before their jitter; N of them."""
 
-    lattice: Floats
-    """Their places [m], shape [N, D]; of a layer y counts from the ground."""
-    spacing: Floats
-    """Of the lattice [m], shape [D]."""
-    volume: float
-    """Of the body [m^D], which its particles share evenly."""
-    lower: Floats
-    """Lower corner of the box around the body [m], shape [D]."""
-    upper: Floats
-    """Upper corner [m], shape [D]."""
-    contains: Callable[[Floats], NDArray[np.bool_]]
-    """Which of N places, one of each particle, are still in the body."""
-    raised: Callable[[Floats], Floats] = np.copy
-    """Places of the lattice where they are in the box, both [N, D] in m."""
-    cover: Callable[[Floats], Floats] | None = None
-    """Depth below the top of the body [m], shape [N], of places in the box; below the highest where absent."""
-    thickness: Floats | None = None
-    """Of a layer at the places of its lattice [m], shape [N]."""
-    inflow: Inflow | None = None
-    """What enters, and when, of an inflow; its lattice are the places where."""
+    lattice: Floats  # their places [m], shape [N, D]; of a layer y counts from the ground
+    spacing: Floats  # of the lattice [m], shape [D]
+    volume: float  # of the body [m^D], which its particles share evenly
+    lower: Floats  # lower corner of the box around the body [m], shape [D]
+    upper: Floats  # upper corner [m], shape [D]
+    contains: Callable[[Floats], NDArray[np.bool_]]  # which of N places, one of each particle, are still in the body
+    raised: Callable[[Floats], Floats] = np.copy  # places of the lattice where they are in the box, both [N, D] in m
+    cover: Callable[[Floats], Floats] | None = None  # depth of places below the top [m], [N]; else below the highest
+    thickness: Floats | None = None  # of a layer at the places of its lattice [m], shape [N]
+    inflow: Inflow | None = None  # what enters, and when, of an inflow; its lattice are the places where
 
     def depth(self, positions: Floats) -> Floats:
         """Of `positions` [N, D] below the top of the body, shape [N]; in m."""
@@ -72,10 +61,8 @@ class Filling:
         return float(np.bincount(column).max() * self.spacing[1])
 
     def positions(self, offset: Floats, stretch: Floats | float = 1.0) -> Floats:
-        """Positions [m], shape [N, D], of particles moved by `offset` [N, D], in fractions of the spacing.
-
-        stretch: of the heights above the ground of a layer [-], shape [N].
-        """
+        """Positions [m], shape [N, D], of particles moved by `offset` [N, D], in fractions of the spacing. stretch: of
+        the heights above the ground of a layer [-], shape [N]."""
         if self.inflow is not None:
             return self.inflow.places(offset[0])
         moved = self.lattice + offset * self.spacing
@@ -108,7 +95,7 @@ def filling(scene: SceneLayout, mass: Mass, key: str = "masses") -> Filling:
 
 
 @lru_cache(maxsize=16)
-def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
+def fill(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Filling:
     """The particles of `mass` on a lattice of about `share` [m]. Raises InputError."""
     check_shape(mass, key, domain.dimension)
     if mass.kind == "layer":
@@ -126,7 +113,7 @@ def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, ke
     return filled
 
 
-def entering(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
+def entering(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Filling:
     """What flows in, where it enters; the box around it is as long as it is deep."""
     inlet = inflow(mass, domain, ground, share, key)
     places, size = inlet.places(), np.array(domain.size)
@@ -136,10 +123,7 @@ def entering(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float
     around = np.concatenate([places, places + inlet.depth * inlet.flow[: len(size)]]).clip(0.0, size)
     lower, spacing = np.minimum(around.min(axis=0), size - share), np.full(len(size), share)
     box: dict[str, Any] = {"lower": lower, "upper": np.maximum(around.max(axis=0), lower + share)}
-    nothing: dict[str, Any] = {
-        "contains": lambda places: places[:, 0] >= 0.0,
-        "cover": lambda places: 0.0 * places[:, 0],
-    }
+    nothing: dict[str, Any] = {"contains": lambda at: at[:, 0] >= 0.0, "cover": lambda at: 0.0 * at[:, 0]}
     return Filling(lattice=places, spacing=spacing, volume=inlet.volume, **box, **nothing, inflow=inlet)
 
 
@@ -158,8 +142,7 @@ def polygon(mass: Mass, share: float, key: str) -> Filling:
 
 def mesh(mass: Mass, share: float, key: str) -> Filling:
     """A closed surface of triangles in 3D."""
-    # Commands on boxes alone start without these libraries.
-    from scipy import ndimage
+    from scipy import ndimage  # commands on boxes alone start without these libraries
 
     from datasets.geometry.nearest import inside
     from datasets.geometry.surface import boundary
@@ -182,7 +165,7 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     return Filling(lattice=lattice, spacing=spacing, volume=volume, lower=lower, upper=upper, contains=contains)
 
 
-def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
+def layer(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Filling:
     """A layer of given vertical thickness on the ground."""
     plan = Plan(mass, domain, key)
     level = plan_axes(domain.dimension)
@@ -229,8 +212,7 @@ class Plan:
             require((getattr(mass, name) is not None) == gridded, f"{key}.{name}", expected, "others")
         self.edges: tuple[Floats, ...] = ()
         """Of the cells around the places where thicknesses are given, along each axis in plan [m]; none of a number."""
-        self.values = np.array(given, np.float64)
-        """The thickness [m]: a number, or that of each cell."""
+        self.values = np.array(given, np.float64)  # the thickness [m]: a number, or that of each cell
         if isinstance(given, tuple):
             check_grid(mass, given, key, "thickness")
             steps = zip(mass.origin or (), mass.spacing or (), self.values.shape, strict=True)
@@ -249,20 +231,15 @@ class Plan:
         if outline is not None and spatial:
             check_simple(outline, f"{key}.outline")
             shape = shape.intersection(shapely.Polygon(outline))
-        box = shapely.box(0.0, 0.0, size[0], size[1] if spatial else 1.0)
-        self.region = shape.intersection(box)
-        """The layer in plan; in 2D as wide as 1 m."""
+        # In 2D as wide as 1 m.
+        self.region = shape.intersection(shapely.box(0.0, 0.0, size[0], size[1] if spatial else 1.0))
         require(self.region.area > 0.0, key, "a layer that lies in the box", "one that in plan does not")
         shapely.prepare(self.region)
         low_x, low_z, high_x, high_z = self.region.bounds
-        self.lower: Floats = np.array([low_x, low_z] if spatial else [low_x])
-        """Least x, and z, of the layer [m], shape [D - 1]."""
-        self.upper: Floats = np.array([high_x, high_z] if spatial else [high_x])
-        """Greatest [m]."""
-        self.volume = self.within(self.region)
-        """Of the layer in the box [m^D]."""
-        self.lost = 1.0 - self.volume / self.within(shape)
-        """Share of the layer that lies beyond the sides of the box."""
+        self.lower: Floats = np.array([low_x, low_z] if spatial else [low_x])  # least x, and z, of the layer [m]
+        self.upper: Floats = np.array([high_x, high_z] if spatial else [high_x])  # greatest [m]
+        self.volume = self.within(self.region)  # of the layer in the box [m^D]
+        self.lost = 1.0 - self.volume / self.within(shape)  # share of the layer that lies beyond the sides of the box
         require(self.volume > 0.0, f"{key}.thickness", "a layer with some thickness in the box", "none")
 
     def within(self, region: shapely.Geometry) -> float:
@@ -287,9 +264,8 @@ class Plan:
         """Thickness [m] at places in plan, shape [N]: that of their cell, 0 beyond all cells."""
         if not self.edges:
             return np.full(len(plan), float(self.values))
-        padded = np.pad(self.values, 1)
         cells = (np.searchsorted(edges, plan[:, axis], side="right") for axis, edges in enumerate(self.edges))
-        return np.asarray(padded[tuple(cells)])
+        return np.asarray(np.pad(self.values, 1)[tuple(cells)])
 
 
 def height(scene: SceneLayout, mass: Mass) -> float:
@@ -301,10 +277,9 @@ def height(scene: SceneLayout, mass: Mass) -> float:
 
 def scene_height(scene: SceneLayout) -> float:
     """Of the material of all masses over one place in plan, at most [m]; air between them does not count."""
-    heights = [height(scene, mass) for mass in scene.masses]
     lower, size = (np.array([getattr(mass, key) for mass in scene.masses])[:, ::2] for key in ("lower", "size"))
     above = (np.abs(lower + 0.5 * size - (lower + 0.5 * size)[:, None]) <= 0.5 * size + TOLERANCE).all(axis=2)
-    return float((above @ np.array(heights)).max())
+    return float((above @ np.array([height(scene, mass) for mass in scene.masses])).max())
 
 
 def lattice_of(scene: SceneLayout, mass: Mass) -> Floats:

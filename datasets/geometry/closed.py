@@ -11,24 +11,18 @@ STEEPEST = 4.0
 """Slope, sideways over outwards, with which a face that ends on a side of the box is continued beyond it at most."""
 NEARLY = 2.0e4
 """Widest gap between solids that all but meet, over the distance at which they are one: a fiftieth of a cell."""
-POINTED = 10.0
-"""Length over such a gap from which on solids beside each other are so along an edge."""
+POINTED = 10.0  # length over such a gap from which on solids beside each other are so along an edge
 
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
     """The surface of a solid, closed; V vertices and F faces in D dimensions."""
 
-    vertices: Floats
-    """[m], shape [V, D]; in 2D one after the other, anticlockwise."""
-    faces: Integers
-    """Vertices of each segment, the solid on its left, or triangle, anticlockwise from outside, shape [F, D]."""
-    friction: Floats
-    """Coulomb coefficient at each vertex [-], shape [V]."""
-    key: str
-    """Where the solid stands in the scene, such as `solids[0]`."""
-    grows: bool = True
-    """Whether it grows by the gap that it closes to others: all but a raster, of which others touch a part alone."""
+    vertices: Floats  # [m], shape [V, D]; in 2D one after the other, anticlockwise
+    faces: Integers  # vertices of segments, the solid on the left, or of triangles, anticlockwise from outside, [F, D]
+    friction: Floats  # Coulomb coefficient at each vertex [-], shape [V]
+    key: str  # where the solid stands in the scene, such as `solids[0]`
+    grows: bool = True  # by the gap that it closes to others: all but a raster, of which others touch a part alone
 
 
 def ring(count: int) -> Integers:
@@ -43,11 +37,8 @@ def unit(vectors: Floats) -> Floats:
 
 
 def pseudonormals(vertices: Floats, faces: Integers) -> tuple[Floats, Floats, Floats]:
-    """Unit normals of faces [F, D], 0 of one without area; of their corners [F, D, D]; of triangles' edges [F, 3, D].
-
-    A corner's is the sum of the normals around its vertex, in 3D weighted by their angles there, an edge's that of its
-    two (Baerentzen & Aanaes 2005). Segments have no edges: [F, 0, 2].
-    """
+    """Unit normals of faces [F, D], 0 of one without area; of their corners [F, D, D], sums around the vertex, in 3D
+    weighted by angles; of triangles' edges [F, 3, D], none of segments (Baerentzen & Aanaes 2005)."""
     corners = vertices[faces]
     edges = np.roll(corners, -1, axis=1) - corners
     angles = np.ones(faces.shape)
@@ -55,8 +46,7 @@ def pseudonormals(vertices: Floats, faces: Integers) -> tuple[Floats, Floats, Fl
         normals = unit(edges[:, 0, ::-1] * [1.0, -1.0])
     else:
         across = np.cross(edges[:, 0], edges[:, 1])
-        longest = (edges * edges).sum(-1).max(axis=1)
-        across[np.linalg.norm(across, axis=1) <= 1.0e-14 * longest] = 0.0
+        across[np.linalg.norm(across, axis=1) <= 1.0e-14 * (edges * edges).sum(-1).max(axis=1)] = 0.0
         normals = unit(across)
         ahead, back = unit(edges), -unit(np.roll(edges, 1, axis=1))
         angles = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=-1), (ahead * back).sum(-1))

@@ -9,16 +9,14 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets.geometry.closed import pseudonormals
 from datasets.geometry.ground import CLOSING, TOUCHING, Floats, grid_triangles, interpolated
 from datasets.geometry.ground import ground_grid as grid_of
-from datasets.geometry.surface import Surface, body_of, boundary, near_box, solids_of, surface_in, without_slip
+from datasets.geometry.surface import Surface, solids_of, surface_in
 from datasets.scene.parts import Domain, SceneLayout, Solid
 
-DOWNWARD = -0.5
-"""Upward component of the normal of faces that a solid stands on, where they lie in the ground."""
+DOWNWARD = -0.5  # upward component of the normal of faces that a solid stands on, where they lie in the ground
 PARTS = np.linspace(0.0, 1.0, 17).tolist()
 PLACES = np.array([[u, v, 1.0 - u - v] for u in PARTS for v in PARTS if u + v <= 1.0])
 """Weights of the corners at places all over a triangle."""
@@ -28,16 +26,11 @@ PLACES = np.array([[u, v, 1.0 - u - v] for u in PARTS for v in PARTS if u + v <=
 class HeightField:
     """A raster of X times Z posts, linear on two triangles a cell (`datasets.geometry.ground.grid_triangles`)."""
 
-    x: Floats
-    """Of the posts [m], shape [X]: evenly apart but for one post at either end, far beyond the box."""
-    z: Floats
-    """[m], shape [Z]."""
-    heights: Floats
-    """[m], shape [X, Z]."""
-    friction: Floats
-    """Coulomb coefficient [-], shape [X, Z], or [1, 1] where it is one; inf without slip."""
-    solid: int
-    """Its number among the solids of its scene."""
+    x: Floats  # of the posts [m], shape [X]: evenly apart but for one post at either end, far beyond the box
+    z: Floats  # [m], shape [Z]
+    heights: Floats  # [m], shape [X, Z]
+    friction: Floats  # Coulomb coefficient [-], shape [X, Z], or [1, 1] where it is one; inf without slip
+    solid: int  # its number among the solids of its scene
 
     @property
     def steepest(self) -> float:
@@ -52,13 +45,9 @@ class HeightField:
 
     def around(self, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """x, z, heights and friction, both [X, Z], of the posts over a rectangle from `low` to `high` [m], shape [2].
-
-        With the cells around them, so that the normals inside are those of the whole raster.
-        """
-        ends = [
-            np.searchsorted(axis, (near - TOUCHING, far + TOUCHING)).tolist()
-            for axis, near, far in ((self.x, low[0], high[0]), (self.z, low[1], high[1]))
-        ]
+        With the cells around them, so that the normals inside are those of the whole raster."""
+        sides = (self.x, low[0], high[0]), (self.z, low[1], high[1])
+        ends = [np.searchsorted(axis, (near - TOUCHING, far + TOUCHING)).tolist() for axis, near, far in sides]
         rows, columns = (slice(max(first - 2, 0), last + 2) for first, last in ends)
         friction = np.broadcast_to(self.friction, self.heights.shape)[rows, columns]
         return self.x[rows], self.z[columns], self.heights[rows, columns], friction
@@ -100,10 +89,8 @@ def has_faces(scene: SceneLayout) -> bool:
 
 
 def contact_surface_of(scene: SceneLayout) -> ContactSurface | None:
-    """The surface of all baffles and solids of `scene`; None where it has none. Raises InputError.
-
-    The same scene, or one with the same box and solids, gives the same object.
-    """
+    """The surface of all baffles and solids of `scene`, the same object for the same ones; None where it has none.
+    Raises InputError."""
     if not scene.baffles and not scene.solids:
         return None
     if not has_field(scene):
@@ -119,21 +106,13 @@ def contact_surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[st
     others = [index for index in range(len(solids)) if index != number]
     if not others:
         return ContactSurface(faces=Surface.empty(3), field=field)
-    bodies = [body_of(solids[index], keys[index], domain) for index in others]
-    surface = boundary(bodies, CLOSING * domain.cell)
-    kept = near_box(surface, domain)
-    down = np.flatnonzero(kept & (surface.normals[:, 1] < DOWNWARD))
-    kept[down] = ~in_ground(surface.corners[down], field, domain)
-    surface = surface.chosen(kept)
-    faces = without_slip(replace(surface, solid=np.array(others, np.int32)[surface.solid]), solids)
-    return ContactSurface(faces=faces, field=field)
-
-
-def in_ground(corners: Floats, field: HeightField, domain: Domain) -> NDArray[np.bool_]:
-    """Whether triangles with `corners` [m], shape [F, 3, 3], lie on the ground or in it, shape [F]."""
-    places = np.einsum("pc,fcd->fpd", PLACES, corners)
+    surface = surface_in(domain, *(tuple(given[index] for index in others) for given in (solids, keys)))
+    down, kept = np.flatnonzero(surface.normals[:, 1] < DOWNWARD), np.full(len(surface.solid), True)
+    places = np.einsum("pc,fcd->fpd", PLACES, surface.corners[down])
     above = places[:, :, 1] - field.elevation(places.reshape(-1, 3)).reshape(places.shape[:2])
-    return np.asarray((above <= CLOSING * domain.cell).all(axis=1))
+    kept[down] = (above > CLOSING * domain.cell).any(axis=1)  # but for those on the ground or in it
+    faces = surface.chosen(kept)
+    return ContactSurface(faces=replace(faces, solid=np.array(others, np.int32)[faces.solid]), field=field)
 
 
 def height_field(solid: Solid, key: str, number: int, domain: Domain) -> HeightField:

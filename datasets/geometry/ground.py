@@ -14,13 +14,12 @@ from datasets.scene.parts import Domain, SceneLayout, Solid, coefficient
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Solids = tuple[Solid, ...]
 
 BEYOND = 8.0
 """Cells by which a solid that reaches a side of the box goes on beyond it, so that none of its faces lies there."""
-TOUCHING = 1.0e-9
-"""Distance [m] up to which lengths that a user wrote in decimals are the same."""
-CLOSING = 1.0e-6
-"""Half of the widest gap, in cells, that touching solids leave between them by rounding."""
+TOUCHING = 1.0e-9  # distance [m] up to which lengths that a user wrote in decimals are the same
+CLOSING = 1.0e-6  # half of the widest gap, in cells, that touching solids leave between them by rounding
 
 
 def plan_axes(dimension: int) -> list[int]:
@@ -28,7 +27,7 @@ def plan_axes(dimension: int) -> list[int]:
     return list(range(0, dimension, 2))
 
 
-def elevation(solids: tuple[Solid, ...], domain: Domain, plan: Floats) -> Floats:
+def elevation(solids: Solids, domain: Domain, plan: Floats) -> Floats:
     """Elevation [m] of the highest terrain, or of the floor y = 0, at places in plan [m], [N, D - 1]; shape [N]."""
     return highest(solids, domain, plan, 0.0)[0]
 
@@ -36,17 +35,13 @@ def elevation(solids: tuple[Solid, ...], domain: Domain, plan: Floats) -> Floats
 def slopes_in_plan(scene: SceneLayout, grid: Grid) -> list[Floats]:
     """dh/dx and dh/dz [-] of `elevation` at the nodes of a grid in plan, both of shape [X, Z]; 0 along a single row."""
     heights = elevation(scene.solids, scene.domain, grid.positions).reshape(grid.nodes)
-    return [
-        np.gradient(heights, step, axis=axis) if heights.shape[axis] > 1 else np.zeros(grid.nodes)
-        for axis, step in enumerate(grid.spacing)
-    ]
+    rows = enumerate(zip(grid.spacing, grid.nodes, strict=True))
+    return [np.gradient(heights, step, axis=axis) if n > 1 else np.zeros_like(heights) for axis, (step, n) in rows]
 
 
 def ground_raster(scene: SceneLayout, spacing: float) -> tuple[Floats, Floats, Integers]:
-    """`highest` of a scene at places `spacing` [m] apart, from the box's corner on; each of shape [X], in 3D [X, Z].
-
-    To the first place at or beyond the end of the box.
-    """
+    """`highest` of a scene at places `spacing` [m] apart, from the box's corner on; each of shape [X], in 3D [X, Z]. To
+    the first place at or beyond the end of the box."""
     lengths = np.array(scene.domain.size)[plan_axes(scene.dimension)]
     axes = [spacing * np.arange(math.ceil(length / spacing - 1.0e-6) + 1) for length in lengths.tolist()]
     plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -67,13 +62,9 @@ def turbulence_raster(scene: SceneLayout, spacing: float) -> Floats | None:
     return ground_raster(replace(scene, solids=tuple(drags), floor_friction=0.0), spacing)[1]
 
 
-def highest(
-    solids: tuple[Solid, ...], domain: Domain, plan: Floats, floor_friction: float
-) -> tuple[Floats, Floats, Integers]:
-    """Elevation [m], Coulomb coefficient [-] and number of the highest terrain at places in plan [m], [N, D - 1].
-
-    Each of shape [N]; where no terrain is above it, that of the floor y = 0, whose number is -1.
-    """
+def highest(solids: Solids, domain: Domain, plan: Floats, floor_friction: float) -> tuple[Floats, Floats, Integers]:
+    """Elevation [m], Coulomb coefficient [-] and number of the highest terrain at places in plan [m], [N, D - 1]. Each
+    of shape [N]; where no terrain is above it, that of the floor y = 0, whose number is -1."""
     height, friction, top = np.zeros(len(plan)), np.full(len(plan), floor_friction), np.full(len(plan), -1)
     for index, solid in enumerate(solids):
         if solid.kind != "terrain":
@@ -88,10 +79,8 @@ def highest(
 
 @lru_cache(maxsize=4)
 def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], Floats, Floats]:
-    """x, in 3D and z, elevations [m] and friction of a terrain, both [X(, Z)], to some cells beyond the box.
-
-    The same arrays for the same terrain. Raises InputError unless it covers the box but for a cell.
-    """
+    """x, in 3D and z, elevations [m] and friction of a terrain, both [X(, Z)], to some cells beyond the box. The same
+    arrays for the same terrain. Raises InputError unless it covers the box but for a cell."""
     if domain.dimension == 2:
         x, heights = np.array(solid.points, np.float64).T
         given, name, slack = [x], "points", [domain.cell]
@@ -114,11 +103,9 @@ def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], F
 
 
 def extended(at: Floats, values: Floats, length: float, beyond: float) -> tuple[Floats, Floats, Integers]:
-    """Coordinates [N] and values [N, ...] that begin before -beyond and end after length + beyond [m].
-
-    To the sides of the box, 0 and `length`, they go on level; from there on as they arrive, where they end at a side.
-    The third are the places, of those given, whose other properties the new ones have.
-    """
+    """Coordinates [N] and values [N, ...] that begin before -beyond and end after length + beyond [m], and the places,
+    of those given, whose other properties they have. To the sides of the box, 0 and `length`, they go on level; from
+    there on as they arrive, where they end at a side."""
     place = np.arange(len(at))
     for limit, outer, first in ((0.0, -beyond, True), (length, length + beyond, False)):
         end, other = (0, 1) if first else (-1, -2)
@@ -145,10 +132,7 @@ def lowest_ground(domain: Domain, solid: Solid, key: str) -> float:
 
 def grid_triangles(values: Floats) -> Integers:
     """The two triangles of every cell of a grid [X, Z], by the numbers of its nodes, anticlockwise from above; [T, 3].
-
-    They meet along the diagonal whose ends differ less, so that mirror images have mirrored triangles. y points up, so
-    z runs to the right of x.
-    """
+    They meet along the diagonal whose ends differ less: mirror images have mirrored triangles."""
     number = np.arange(values.size).reshape(values.shape)
     a, b, c, d = (corner.ravel() for corner in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     height = values.ravel()
@@ -157,10 +141,8 @@ def grid_triangles(values: Floats) -> Integers:
 
 
 def interpolated(axes: Sequence[Floats], values: Floats, plan: Floats) -> Floats:
-    """Values of a line [X] or a grid [X, Z] at `plan` [N, D - 1], linear on its segments or triangles; shape [N].
-
-    Beyond its ends those of its edge.
-    """
+    """Values of a line [X] or a grid [X, Z], beyond it of its edge, at `plan` [N, D - 1], linear on its segments or
+    triangles; shape [N]."""
     if len(axes) == 1:
         return np.asarray(np.interp(plan[:, 0], axes[0], values))
     (i, u), (k, v) = (linear(axis, plan[:, number]) for number, axis in enumerate(axes))

@@ -10,14 +10,15 @@ particles keep the distances of a lattice whatever speed and depth are. A sectio
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from datasets.errors import require
-from datasets.geometry.ground import TOUCHING, Floats, elevation, plan_axes
+from datasets.geometry.ground import TOUCHING, Floats, Solids, elevation, plan_axes
 from datasets.geometry.shapes import check_rows, check_vector
 from datasets.memory import require as require_memory
-from datasets.scene.parts import TOLERANCE, Domain, Mass, Rows, Solid
+from datasets.scene.parts import TOLERANCE, Domain, Mass, Rows
 
 STEPS = {2: (0.0, 0.6180339887498949), 3: (0.7548776662466927, 0.5698402909980532)}
 """From particle to particle, by dimension: of the share of the area, 0 or 1 / g, and of that of the depth."""
@@ -32,26 +33,17 @@ class Inflow:
     """The particles of an inflow, N of them, and its section: the plane of `along` and `up` through `foot`."""
 
     domain: Domain
-    ground: tuple[Solid, ...] | None
-    """What the section stands on; None where it has an elevation of its own."""
-    hydrograph: Floats
-    """Times [s], discharges [m^D/s] and speeds [m/s], shape [R, 3]."""
-    volume: float
-    """Of all that enters [m^D]."""
-    time: Floats
-    """When each particle enters [s], shape [N], ascending."""
-    level: Floats
-    """How high the surface is above the foot then [m], shape [N]."""
-    foot: Floats
-    """The middle of the foot [m], shape [3]."""
-    flow: Floats
-    """Unit vectors, shape [3]: of the velocity, along the foot, and upwards across both."""
-    along: Floats
-    up: Floats
-    width: float
-    """Length of the foot [m]."""
-    bed: Floats
-    """Height of the ground above the foot in strips along it [m], shape [S]."""
+    ground: Solids | None  # what the section stands on; None where it has an elevation of its own
+    hydrograph: Floats  # times [s], discharges [m^D/s] and speeds [m/s], shape [R, 3]
+    volume: float  # of all that enters [m^D]
+    time: Floats  # when each particle enters [s], shape [N], ascending
+    level: Floats  # how high the surface is above the foot then [m], shape [N]
+    foot: Floats  # the middle of the foot [m], shape [3]
+    flow: Floats  # unit vector of the velocity, shape [3]
+    along: Floats  # along the foot
+    up: Floats  # upwards across both
+    width: float  # length of the foot [m]
+    bed: Floats  # height of the ground above the foot in strips along it [m], shape [S]
 
     @property
     def depth(self) -> float:
@@ -104,7 +96,7 @@ def until(hydrograph: Rows, end: float, key: str) -> Rows:
     return (*map(tuple, rows.T[time < end].tolist()), tuple(last))
 
 
-def inflow(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Inflow:
+def inflow(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Inflow:
     """What a mass of kind inflow brings, in particles of about `share` [m]. Raises InputError."""
     hydrograph = np.array(mass.hydrograph) * [1.0, mass.discharge_factor or 1.0, 1.0]
     level = plan_axes(domain.dimension)
@@ -139,22 +131,15 @@ def inflow(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, 
     heights = np.sort(bed)
     heights = np.append(heights, heights[-1] + area.max() / width)
     areas = np.append(0.0, np.cumsum(width / strips * np.arange(1, strips + 1) * np.diff(heights)))
-    inlet = Inflow(
-        domain=domain,
-        ground=ground if grounded else None,
-        hydrograph=hydrograph,
-        volume=float(passed[-1]),
-        time=time,
-        level=np.interp(area, areas, heights),
-        **{"foot": foot, "flow": flow, "along": along, "up": up, "bed": bed},
-        width=width,
-    )
+    section: dict[str, Any] = {"foot": foot, "flow": flow, "along": along, "up": up, "bed": bed, "width": width}
+    enters: dict[str, Any] = {"volume": float(passed[-1]), "time": time, "level": np.interp(area, areas, heights)}
+    inlet = Inflow(domain=domain, ground=ground if grounded else None, hydrograph=hydrograph, **section, **enters)
     expected = f"a depth, discharge over speed and width, of at least a particle, {share:.3g} m"
     require(inlet.depth >= share, f"{key}.hydrograph", expected, f"{inlet.depth:.3g} m at most")
     return inlet
 
 
-def foot_of(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> tuple[Floats, bool]:
+def foot_of(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> tuple[Floats, bool]:
     """Both ends of the foot of a section [m], shape [2, 3], and whether it lies on the ground."""
     dimension, rows, key = domain.dimension, mass.section or (), f"{key}.section"
     grounded = bool(rows) and len(rows[0]) == dimension - 1
@@ -175,13 +160,9 @@ def foot_of(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float,
     return ends, grounded
 
 
-def direction_of(
-    mass: Mass, domain: Domain, ground: tuple[Solid, ...], line: Floats, along: Floats, key: str
-) -> Floats:
-    """The unit vector of the velocity, shape [3]: as given, else across the section and down along the ground beneath.
-
-    line: places along the foot [m], shape [S, 3]. On level ground it is the one across whose x is larger.
-    """
+def direction_of(mass: Mass, domain: Domain, ground: Solids, line: Floats, along: Floats, key: str) -> Floats:
+    """The unit vector of the velocity, shape [3]: as given, else across the section, of which `line` are places [S, 3],
+    and down along the ground beneath; on level ground the one whose x is larger."""
     key = f"{key}.direction"
     if mass.direction is not None:
         check_vector(mass.direction, key, domain.dimension)

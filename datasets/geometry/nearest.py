@@ -13,35 +13,24 @@ from scipy.spatial import cKDTree
 from datasets.geometry.ground import Floats, Integers
 from datasets.geometry.surface import Surface
 
-PAIRS = 1_000_000
-"""Pairs of a point and a face that are looked at together."""
-CLASSES = 2.0
-"""Factor in size between the classes of faces that are searched together."""
-ROUNDING = 1.0e-12
-"""Distance over the extent of the surface that is none."""
-INTERIOR = 1.0e-12
-"""Share of a face within which a foot lies on its rim."""
+PAIRS = 1_000_000  # pairs of a point and a face that are looked at together
+CLASSES = 2.0  # factor in size between the classes of faces that are searched together
+ROUNDING = 1.0e-12  # distance over the extent of the surface that is none
+INTERIOR = 1.0e-12  # share of a face within which a foot lies on its rim
 
 
 class Nearest(NamedTuple):
     """The nearest places of a surface for N points in D dimensions."""
 
-    distance: Floats
-    """Signed distance [m], negative inside the solid, shape [N]."""
-    foot: Floats
-    """The nearest place [m], shape [N, D]."""
-    normal: Floats
-    """Unit vector out of the solid at the foot: along the offset, on the surface the pseudonormal; shape [N, D]."""
-    face: Integers
-    """The face that the foot lies on, shape [N]."""
+    distance: Floats  # signed distance [m], negative inside the solid, shape [N]
+    foot: Floats  # the nearest place [m], shape [N, D]
+    normal: Floats  # out of the solid at the foot: along the offset, on the surface the pseudonormal; shape [N, D]
+    face: Integers  # the face that the foot lies on, shape [N]
 
 
 def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest:
-    """The nearest places of `surface` for `points` [m], shape [N, D].
-
-    Points farther from it than `within` [m] cost less: their distance is inf, or right, whatever side they are on; what
-    else is said of those at inf is that of a place near by.
-    """
+    """The nearest places of `surface` for `points` [m], shape [N, D]. Of points farther than `within` [m] the distance
+    may be inf, which costs less; their foot is then some place near by."""
     points = np.atleast_2d(np.asarray(points, np.float64))
     search, portion = Search(surface), PAIRS // 50
     firsts = range(0, max(1, len(points)), portion)
@@ -127,8 +116,7 @@ def normals_at(surface: Surface, face: Integers, weights: Floats) -> Floats:
     zero = weights <= INTERIOR
     normal = surface.normals[face]
     if surface.dimension == 3:
-        # Weight k + 2 vanishes on edge k.
-        for edge in range(3):
+        for edge in range(3):  # weight k + 2 vanishes on edge k
             on_edge = zero[:, (edge + 2) % 3]
             normal = np.where(on_edge[:, None], surface.edge_normals[face, edge], normal)
     for corner in range(surface.dimension):

@@ -17,8 +17,7 @@ from datasets.geometry.shells import manifold
 from datasets.geometry.surface import Surface, closed_body, raster_body, solids_of, surface_in
 from datasets.scene.parts import INFLOW, TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
 
-SAMPLES = 32
-"""Most places along an axis at which the height of a body above ground is looked for."""
+SAMPLES = 32  # most places along an axis at which the height of a body above ground is looked for
 
 
 def check_overlaps(scene: SceneLayout) -> None:
@@ -113,28 +112,21 @@ def body_near(solid: Solid, key: str, domain: Domain, places: Floats) -> Body:
 
 
 def remembers_gaps(scene: SceneLayout) -> bool:
-    """Whether gaps between particles are remembered: as `volume_correction` says, or if sand may fall or splash.
-
-    It may where solids stand in its way, where a mass has a velocity, however slow (or an unknown velocity would cross
-    a jump), and where a body is in flight. A column that collapses on a flat floor keeps its volume without.
-    """
+    """Whether gaps between particles are remembered: as `volume_correction` says, else where sand may fall or splash:
+    beside solids, where a mass has a velocity, however slow (or an unknown velocity would cross a jump), and where a
+    body is in flight. A column that collapses on a flat floor keeps its volume without."""
     if scene.volume_correction is not None:
         return scene.volume_correction
     thrown = any(mass.kind == INFLOW or np.any(mass.velocity) or np.any(mass.angular_velocity) for mass in scene.masses)
     thrown = thrown or any(np.any(field.values) for field in scene.fields if "velocity" in field.quantity)
-    return scene.gravity > 0.0 and (
-        thrown
-        or bool(scene.solids or scene.baffles)
-        or bool((heights_above_ground(scene) >= scene.domain.cell - TOLERANCE).any())
-    )
+    if scene.gravity <= 0.0 or thrown or scene.solids or scene.baffles:
+        return scene.gravity > 0.0
+    return bool((heights_above_ground(scene) >= scene.domain.cell - TOLERANCE).any())
 
 
 def heights_above_ground(scene: SceneLayout) -> Floats:
-    """Height [m] of the body that each mass belongs to, above what is beneath it; masses that touch are one body.
-
-    That of the body is the least of its masses', each above the floor or the highest box or solid beneath it, that of a
-    layer is 0; shape [masses].
-    """
+    """Height [m] above what is beneath it of the body that each mass belongs to, [masses]; masses that touch are one
+    body, as high as the lowest: each above floor, box or solid, a layer at 0."""
     count, shaped = len(scene.masses), has_shapes(scene)
     lower, upper = corners(scene.masses if shaped else (*scene.masses, *scene.baffles))
     level = plan_axes(scene.dimension)
@@ -160,8 +152,7 @@ def heights_above_ground(scene: SceneLayout) -> Floats:
 
 def connected(lower: Floats, upper: Floats) -> NDArray[np.int32]:
     """The number of the group of each box, shape [K]: boxes that share at least a corner are of one."""
-    # Imported here: who asks for help needs no graphs.
-    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.csgraph import connected_components  # imported here: who asks for help needs no graphs
 
     touch = (lower[:, None] <= upper + TOLERANCE).all(axis=-1)
     group: NDArray[np.int32] = connected_components(touch & touch.T)[1]
@@ -182,10 +173,8 @@ def underside(scene: SceneLayout, mass: Mass) -> Floats:
 
 
 def tops_beneath(surface: Surface, places: Floats, slack: float) -> Floats:
-    """Elevation [m] of the highest place of the surface at or beneath each place [m], shape [N, D]; shape [N].
-
-    Of those up to `slack` [m] above it too, and 0, the floor's, where there is none.
-    """
+    """Elevation [m] of the highest place of the surface at or beneath each place [m], [N, D], or up to `slack` [m]
+    above it; 0, the floor's, where there is none; shape [N]."""
     level = plan_axes(surface.dimension)
     # Not more than rounding: the sides of a turned box have no area in plan.
     up = surface.normals[:, 1] > 1.0e-9

@@ -17,8 +17,7 @@ from datasets.geometry.ground import TOUCHING, Floats, Integers
 def check_simple(points: Floats, key: str) -> None:
     """Raise InputError unless `points` are the corners of a polygon that does not cross or touch itself."""
     twice = np.flatnonzero((points == np.roll(points, -1, axis=0)).all(axis=1))
-    if len(twice):
-        where = (int(twice[0]) + 1) % len(points)
+    for where in (twice[:1] + 1) % len(points):
         got = f"{points[where].tolist()} twice (the last joins the first by itself)"
         raise InputError(f"expected different vertices, got {got}", key=f"{key}[{where}]")
     polygon = Polygon(points)
@@ -34,8 +33,7 @@ def cut_ring(body: Body, axis: int, limit: float, out: float) -> Body:
     parts = [part for part in getattr(inside, "geoms", [inside]) if isinstance(part, Polygon) and part.area > 0.0]
     if not parts:
         raise outside_of_box(body)
-    if len(parts) > 1:
-        raise InputError("expected a solid of which one piece lies in the box", key=body.key)
+    require(len(parts) == 1, body.key, "a solid of which one piece lies in the box")
     kept = snapped(np.array(orient(parts[0]).exterior.coords)[:-1], axis, limit)
     return replace(body, vertices=kept, faces=ring(len(kept)), friction=friction_at(body, kept))
 
@@ -67,10 +65,8 @@ def lengthened_ring(body: Body, axis: int, limit: float, beyond: float) -> Body:
 
 
 def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
-    """Vertices [V, 2] and segments [F, 2] of the union, friction at their ends [F, 2] and the body of each [F].
-
-    Closing by a distance far below what matters merges rings that touch but for rounding.
-    """
+    """Vertices [V, 2] and segments [F, 2] of the union, friction at their ends [F, 2] and the body of each [F]. Closing
+    by a distance far below what matters merges rings that touch but for rounding."""
     grown = [Polygon(body.vertices).buffer(gap, join_style="mitre", mitre_limit=50.0) for body in bodies]
     closed = shapely.union_all(grown).buffer(-gap, join_style="mitre", mitre_limit=50.0)
     loops = []
@@ -101,10 +97,8 @@ def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Fl
 def check_corners(
     vertices: Floats, owner: NDArray[np.int32], shapes: list[Polygon], keys: list[str], gap: float
 ) -> None:
-    """Raise InputError where solids in 2D meet in a point alone, but for what `gap` [m] on either side closes.
-
-    There the boundary of their union has two corners in one place [m], [V, 2]; owner: the solid of each, [V].
-    """
+    """Raise InputError where solids in 2D meet in a point alone, but for what `gap` [m] on either side closes. There
+    the boundary of their union has two corners in one place [m], [V, 2]; owner: the solid of each, [V]."""
     pairs = cKDTree(vertices).query_pairs(100.0 * gap, output_type="ndarray")
     for first, second in sorted({(min(pair), max(pair)) for pair in owner[pairs].tolist()}):
         if first != second and shapes[first].distance(shapes[second]) <= 2.0 * gap:
@@ -112,10 +106,8 @@ def check_corners(
 
 
 def check_near_corners(shapes: list[Polygon], keys: list[str], near: float) -> None:
-    """Raise InputError where solids in 2D come within `near` [m] of each other in a point alone, as rounded corners do.
-
-    They do where the boundary of one is close to the other over less than `POINTED` times that; a third may cover it.
-    """
+    """Raise InputError where solids in 2D come within `near` [m] in a point alone, as rounded corners do: where the
+    boundary of one is close to the other over less than `POINTED` times that, unless a third covers it."""
     pairs = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=near)
     for first, second in pairs.T[pairs[0] < pairs[1]].tolist():
         one, other = shapes[first], shapes[second]
@@ -126,8 +118,7 @@ def check_near_corners(shapes: list[Polygon], keys: list[str], near: float) -> N
         between = shapely.shortest_line(one, other).centroid
         thirds = (shape for number, shape in enumerate(shapes) if number not in (first, second))
         if not any(third.intersects(between) for third in thirds):
-            where = f"in a point but for {apart:.2g} m"
-            raise meet(keys[first], keys[second], "an edge", where)
+            raise meet(keys[first], keys[second], "an edge", f"in a point but for {apart:.2g} m")
 
 
 def friction_at(body: Body, positions: Floats) -> Floats:

@@ -5,46 +5,39 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
-import manifold3d
 import numpy as np
 import shapely
+from manifold3d import Error, Manifold, Mesh64, OpType
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, require
+from datasets.errors import require
 from datasets.geometry.closed import NEARLY, POINTED, Body, meet, outside_of_box, pseudonormals
 from datasets.geometry.ground import Floats, Integers
 
-SHARED = 1.0e-6
-"""Share of a volume that rounding may change."""
-FLAT = 1.0e-6
-"""What makes the place of a vertex between faces of one plane unique [-]."""
-NARROW = 100.0
-"""Width, over the distance by which bodies have grown, up to which what they share is no face."""
+SHARED = 1.0e-6  # share of a volume that rounding may change
+FLAT = 1.0e-6  # what makes the place of a vertex between faces of one plane unique [-]
+NARROW = 100.0  # width, over the distance by which bodies have grown, up to which what they share is no face
 MOST_TRIANGLES = 20_000
 """Of two bodies that are looked at, such as boxes and meshes, not terrain: a boolean of more takes seconds."""
 
 
-def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = None) -> manifold3d.Manifold:
+def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = None) -> Manifold:
     """A closed surface as the library takes it, with the friction of its vertices where given."""
     values = vertices if friction is None else np.column_stack([vertices, friction])
-    mesh = manifold3d.Mesh64(np.ascontiguousarray(values), np.ascontiguousarray(triangles, np.uint64))
-    return manifold3d.Manifold(mesh)
+    mesh = Mesh64(np.ascontiguousarray(values), np.ascontiguousarray(triangles, np.uint64))
+    return Manifold(mesh)
 
 
 def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, Integers]:
-    """Vertices [V, 3] and triangles [T, 3] of a closed surface, turned to face outwards, its shells united.
-
-    A shell that faces inwards within others is a cavity. What shells share counts once, which a warning says. Raises
-    InputError where the surface is open.
-    """
+    """Vertices [V, 3] and triangles [T, 3] of a closed surface, turned outwards, its shells united: one that faces
+    inwards within others is a cavity; what they share counts once, which is said. Raises InputError."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     _, number = np.unique(edges, axis=0, return_counts=True)
     opened, odd = int((number == 1).sum()), int((number % 2 == 1).sum())
     fault = f"{opened} open edges" if opened else f"{odd} edges of three or more triangles"
     require(opened == odd == 0, key, "a closed surface", f"one with {fault}")
     body = manifold(vertices, triangles)
-    if body.status() != manifold3d.Error.NoError:
-        raise InputError("expected a closed surface whose triangles all face the same way", key=key)
+    require(body.status() == Error.NoError, key, "a closed surface whose triangles all face the same way")
     if body.volume() < 0.0:
         triangles = triangles[:, ::-1].copy()
         body = manifold(vertices, triangles)
@@ -52,7 +45,7 @@ def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, In
     shells = sorted(body.decompose(), key=lambda shell: -abs(shell.volume()))
     if len(shells) == 1:
         return vertices, triangles
-    united = manifold3d.Manifold()
+    united = Manifold()
     for shell in shells:
         if shell.volume() > 0.0:
             united = united + shell
@@ -105,18 +98,15 @@ def lengthened_surface(body: Body, axis: int, limit: float, beyond: float) -> Bo
 
 def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
     """Vertices [V, 3] and triangles [F, 3] of the union, friction at their corners [F, 3] and the body of each [F].
-
-    Every body but rasters grows by `gap`, so that those that touch but for rounding share volume.
-    """
+    Every body but rasters grows by `gap`, so that those that touch but for rounding share volume."""
     parts, numbers = [], {}
     for number, body in enumerate(bodies):
         part = manifold(grown(body, gap) if body.grows else body.vertices, body.faces, body.friction).as_original()
-        if part.status() != manifold3d.Error.NoError:
-            raise InputError("expected a closed surface that does not cross itself", key=body.key)
+        require(part.status() == Error.NoError, body.key, "a closed surface that does not cross itself")
         parts.append(part)
         numbers[part.original_id()] = number
     check_lines(bodies, parts, gap)
-    mesh = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add).to_mesh64()
+    mesh = Manifold.batch_boolean(parts, OpType.Add).to_mesh64()
     values, triangles = np.array(mesh.vert_properties), np.array(mesh.tri_verts, np.int64)
     owner = np.zeros(len(triangles), np.int32)
     starts = np.array(mesh.run_index, np.int64) // 3
@@ -129,19 +119,16 @@ def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers,
     return values[:, :3], same[triangles], friction, owner
 
 
-def check_lines(bodies: list[Body], parts: list[manifold3d.Manifold], gap: float) -> None:
-    """Raise InputError where solids in 3D meet in a point or along a line alone, which no third solid covers.
-
-    parts: the solids, each grown by `gap` [m]. Those that do not touch but come within NEARLY gaps of each other, as
-    with rounded vertices, are looked at when they have grown by half of that.
-    """
+def check_lines(bodies: list[Body], parts: list[Manifold], gap: float) -> None:
+    """Raise InputError where solids in 3D meet in a point or along a line alone, which no third solid covers. parts:
+    the solids, each grown by `gap` [m]; those within NEARLY gaps of each other grow by half of that."""
     near = NEARLY * gap
     for first, second in near_pairs(parts, near):
         pair, wide, narrow, apart = [parts[first], parts[second]], gap, NARROW, ""
         if (pair[0] ^ pair[1]).is_empty():
             wide, narrow, chosen = 0.5 * near, 2.0 * POINTED, (bodies[first], bodies[second])
             pair = [manifold(grown(body, wide), body.faces) for body in chosen if body.grows]
-            if len(pair) < 2 or any(solid.status() != manifold3d.Error.NoError for solid in pair):
+            if len(pair) < 2 or any(solid.status() != Error.NoError for solid in pair):
                 continue
             apart = f" but for {parts[first].min_gap(parts[second], near):.2g} m"
         others = [part for number, part in enumerate(parts) if number not in (first, second)]
@@ -149,26 +136,22 @@ def check_lines(bodies: list[Body], parts: list[manifold3d.Manifold], gap: float
             raise meet(bodies[first].key, bodies[second].key, "a face", where + apart)
 
 
-def line_shared(
-    one: manifold3d.Manifold, other: manifold3d.Manifold, others: list[manifold3d.Manifold], gap: float, narrow: float
-) -> str:
+def line_shared(one: Manifold, other: Manifold, others: list[Manifold], gap: float, narrow: float) -> str:
     """Where two solids, grown by `gap` [m], share less than a face that is `narrow` gaps wide; empty where nowhere.
-
-    Those that share a face of width w then have a layer of the surface 2 w L in common, with L the length of its
-    diagonal; of an edge it is 8 gap L. What others cover by half does not count.
-    """
+    Those that share a face of width w then have a layer of the surface 2 w L in common, with L its diagonal; of an edge
+    it is 8 gap L. What others cover by half does not count."""
     for shared in (one ^ other).decompose():
         low, high = np.array(shared.bounding_box()).reshape(2, 3)
         length = float(np.linalg.norm(high - low))
         if shared.surface_area() > narrow * gap * length:
             continue
-        left = manifold3d.Manifold.batch_boolean([shared, *others], manifold3d.OpType.Subtract)
+        left = Manifold.batch_boolean([shared, *others], OpType.Subtract)
         if left.volume() > 0.5 * shared.volume():
             return "along a line" if length > narrow * gap else "in a point"
     return ""
 
 
-def near_pairs(parts: list[manifold3d.Manifold], near: float) -> Iterator[tuple[int, int]]:
+def near_pairs(parts: list[Manifold], near: float) -> Iterator[tuple[int, int]]:
     """Numbers of solids whose boxes come within `near` [m] of each other and that are not too fine to be compared."""
     bounds = np.array([part.bounding_box() for part in parts]).reshape(-1, 2, 3)
     for first, second in combinations(range(len(parts)), 2):
@@ -178,10 +161,8 @@ def near_pairs(parts: list[manifold3d.Manifold], near: float) -> Iterator[tuple[
 
 
 def grown(body: Body, gap: float) -> Floats:
-    """The vertices [V, 3] of a body whose faces have all moved outwards by `gap` [m].
-
-    A vertex moves by the least d for which n . d = gap of its faces' normals n, in the mean square where they are many.
-    """
+    """The vertices [V, 3] of a body whose faces have all moved outwards by `gap` [m]. A vertex moves by the least d for
+    which n . d = gap of its faces' normals n, in the mean square where they are many."""
     normals, _, _ = pseudonormals(body.vertices, body.faces)
     matrix, right = np.zeros((len(body.vertices), 3, 3)), np.zeros((len(body.vertices), 3))
     for corner in range(3):
@@ -193,8 +174,7 @@ def grown(body: Body, gap: float) -> Floats:
 
 def sliced(vertices: Floats, triangles: Integers, lattice: Floats) -> NDArray[np.bool_]:
     """Which places of a lattice [m], shape [N, 3], lie in a closed surface, by level cuts through it; shape [N]."""
-    # The library cuts across its third axis.
-    body = manifold(vertices[:, [0, 2, 1]], triangles[:, ::-1])
+    body = manifold(vertices[:, [0, 2, 1]], triangles[:, ::-1])  # the library cuts across its third axis
     within = np.zeros(len(lattice), bool)
     for level in np.unique(lattice[:, 1]):
         here = np.flatnonzero(lattice[:, 1] == level)

@@ -21,8 +21,7 @@ from datasets.geometry.rings import check_simple, cut_ring, lengthened_ring, uni
 from datasets.geometry.shells import cut_surface, lengthened_surface, outward, union_of_surfaces
 from datasets.scene.parts import ROUGH, Domain, SceneLayout, Solid, coefficient, keyed
 
-KEPT = 3.0
-"""Cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)."""
+KEPT = 3.0  # cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)
 CORNERS = {
     2: np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]),
     3: np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64),
@@ -33,26 +32,19 @@ SIDES = [
     *([0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]),  # y = 0, y = 1
     *([0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),  # z = 0, z = 1
 ]
-FACES = {2: ring(4), 3: np.array(SIDES)}
-"""Their faces, outwards."""
+FACES = {2: ring(4), 3: np.array(SIDES)}  # their faces, outwards
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
     """The boundary of the union of all solids of a scene; F faces in D dimensions."""
 
-    corners: Floats
-    """Ends of segments, the solid on the left, or corners of triangles, anticlockwise from outside [m], [F, D, D]."""
-    normals: Floats
-    """Outward unit normals, shape [F, D]."""
-    corner_normals: Floats
-    """Pseudonormals at the corners, of unit length, shape [F, D, D]."""
-    edge_normals: Floats
-    """Pseudonormals of the edges of triangles, shape [F, 3, 3]; edge k joins corners k and k + 1. [F, 0, 2] in 2D."""
-    solid: NDArray[np.int32]
-    """The solid that each face belongs to: first the scene's baffles, then its solids; shape [F]."""
-    friction: Floats
-    """Coulomb coefficient at the corners [-], linear between them; inf without slip; shape [F, D]."""
+    corners: Floats  # of segments, the solid on the left, or triangles, anticlockwise from outside [m], [F, D, D]
+    normals: Floats  # outward unit normals, shape [F, D]
+    corner_normals: Floats  # pseudonormals at the corners, of unit length, shape [F, D, D]
+    edge_normals: Floats  # the same of edges of triangles, [F, 3, 3], k from corner k to k + 1; in 2D [F, 0, 2]
+    solid: NDArray[np.int32]  # which each face belongs to: first the scene's baffles, then its solids; shape [F]
+    friction: Floats  # Coulomb coefficient at the corners [-], linear between them; inf without slip; shape [F, D]
 
     @classmethod
     def empty(cls, dimension: int) -> "Surface":
@@ -71,10 +63,8 @@ class Surface:
 
 
 def surface_of(scene: SceneLayout) -> Surface | None:
-    """The surface of all baffles and solids of `scene`; None where it has none. Raises InputError.
-
-    The same scene, or one with the same box and solids, gives the same object.
-    """
+    """The surface of all baffles and solids of `scene`, the same object for the same ones; None where it has none.
+    Raises InputError."""
     if not scene.baffles and not scene.solids:
         return None
     return surface_in(scene.domain, *solids_of(scene))
@@ -82,8 +72,7 @@ def surface_of(scene: SceneLayout) -> Surface | None:
 
 def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     """Everything solid in `scene`, in the order of its numbers, and the keys of each; without their turbulence, so that
-    scenes which differ by that alone share their surface.
-    """
+    scenes which differ by that alone share their surface."""
     baffles = []
     for baffle in scene.baffles:
         friction = scene.friction_of(baffle)
@@ -96,23 +85,14 @@ def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
 
 @lru_cache(maxsize=8)
 def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...]) -> Surface:
-    """The surface of `solids` in a box; errors name the keys."""
+    """The surface of `solids` in a box and some cells beyond, inf friction without slip; errors name the keys."""
     bodies = [body_of(*solid_and_key, domain) for solid_and_key in zip(solids, keys, strict=True)]
     surface = boundary(bodies, CLOSING * domain.cell)
-    return without_slip(surface.chosen(near_box(surface, domain)), solids)
-
-
-def without_slip(surface: Surface, solids: tuple[Solid, ...]) -> Surface:
-    """A surface whose faces have infinite friction where nothing slides on their solid."""
-    surface.friction[np.array([solid.contact == "no-slip" for solid in solids])[surface.solid]] = np.inf
-    return surface
-
-
-def near_box(surface: Surface, domain: Domain) -> NDArray[np.bool_]:
-    """Which faces lie in the box or up to some cells beyond, shape [F]."""
     margin, high = KEPT * domain.cell, np.array(domain.size)
     low, top = surface.corners.min(axis=1), surface.corners.max(axis=1)
-    return np.asarray(((top >= -margin) & (low <= high + margin)).all(axis=1))
+    surface = surface.chosen(((top >= -margin) & (low <= high + margin)).all(axis=1))
+    surface.friction[np.array([solid.contact == "no-slip" for solid in solids])[surface.solid]] = np.inf
+    return surface
 
 
 def boundary(bodies: list[Body], gap: float) -> Surface:
@@ -125,8 +105,7 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
         union = union_of_rings if bodies[0].vertices.shape[1] == 2 else union_of_surfaces
         vertices, faces, friction, owner = union(bodies, gap)
     surface = Surface(vertices[faces], *pseudonormals(vertices, faces), owner, friction)
-    # Triangles without area have no normal.
-    return surface.chosen(np.asarray(surface.normals.any(axis=1)))
+    return surface.chosen(np.asarray(surface.normals.any(axis=1)))  # triangles without area have no normal
 
 
 def body_of(solid: Solid, key: str, box: Domain) -> Body:
@@ -134,8 +113,7 @@ def body_of(solid: Solid, key: str, box: Domain) -> Body:
     body = closed_body(solid, key, box)
     thinnest = float(np.ptp(body.vertices, axis=0).min())
     require(thinnest > TOUCHING, key, f"a solid thicker than {TOUCHING:g} m", f"one of {thinnest:.3g} m")
-    # The floor last.
-    for axis, side in itertools.product(() if solid.kind == "terrain" else (0, 2, 1), (0, 1)):
+    for axis, side in itertools.product(() if solid.kind == "terrain" else (0, 2, 1), (0, 1)):  # the floor last
         if axis < box.dimension:
             body = continued(body, axis, side, box)
     return body
@@ -194,20 +172,14 @@ def raster_body(x: Floats, z: Floats, heights: Floats, friction: Floats, *, deep
     floor = np.stack([below, below_after, np.full(len(rim), len(top) + len(rim))], axis=1)
     centre = np.array([[0.5 * (x[0] + x[-1]), deep, 0.5 * (z[0] + z[-1])]])
     skirt = np.concatenate([np.stack([rim, after, below], axis=1), np.stack([after, below_after, below], axis=1)])
-    return Body(
-        vertices=np.concatenate([top, bottom, centre]),
-        faces=np.concatenate([grid_triangles(heights), skirt, floor]),
-        friction=np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]]),
-        key=key,
-        grows=False,
-    )
+    vertices, faces = np.concatenate([top, bottom, centre]), np.concatenate([grid_triangles(heights), skirt, floor])
+    friction = np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]])
+    return Body(vertices=vertices, faces=faces, friction=friction, key=key, grows=False)
 
 
 def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
-    """The body cut off at a side of the box (0 or 1 of `axis`) and continued beyond, where it reaches the side.
-
-    Raises InputError where nothing of it lies in the box.
-    """
+    """The body cut off at a side of the box (0 or 1 of `axis`) and continued beyond, where it reaches the side. Raises
+    InputError where nothing of it lies in the box."""
     limit, out = (box.size[axis], 1.0) if side else (0.0, -1.0)
     within = replace(body, vertices=snapped(body.vertices, axis, limit))
     height = out * (within.vertices[:, axis] - limit)
@@ -217,5 +189,4 @@ def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
     if height.max() > 0.0:
         within = (cut_ring if planar else cut_surface)(within, axis, limit, out)
         within = replace(within, vertices=snapped(within.vertices, axis, limit))
-    lengthened = (lengthened_ring if planar else lengthened_surface)(within, axis, limit, out * BEYOND * box.cell)
-    return lengthened or body
+    return (lengthened_ring if planar else lengthened_surface)(within, axis, limit, out * BEYOND * box.cell) or body

@@ -16,36 +16,27 @@ from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, S
 from datasets.scene.water import saturated
 from datasets.schema import FARTHEST
 
-MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28
-"""Of the box: what 32 bits count."""
+MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28  # of the box: what 32 bits count
 MOST_PARTICLES = 2**30
 MOST_FRAMES = 10_000_000
-MOST_BODIES = 4096
-"""Masses, baffles and solids: each pair of them is compared."""
+MOST_BODIES = 4096  # masses, baffles and solids: each pair of them is compared
 TALL, STEEPEST = 2.0, 10.0
 """Thickness of a layer over its length, and Coulomb coefficient, that look like another unit's."""
-ROUGHEST = 20.0
-"""Turbulent coefficient [m/s^2] below which no published one lies (Voellmy's xi: 100 to 8000 m/s^2)."""
-LOST = 1.0e-6
-"""Share of a layer that rounding may put beyond a side of the box."""
-SMALL_ANGLE = 3.0
-"""Angle of friction [deg] below which no sand is: one in radians is."""
-SLACK = 1.0e-3
-"""Relative, of a limit that a user wrote in decimals."""
-LIGHT, WATER = 30.0, 1000.0
-"""Density [kg/m^3] below which no soil and no snow is; that of water."""
+ROUGHEST = 20.0  # turbulent coefficient [m/s^2] below which no published one lies (Voellmy's xi: 100 to 8000 m/s^2)
+LOST = 1.0e-6  # share of a layer that rounding may put beyond a side of the box
+SMALL_ANGLE = 3.0  # angle of friction [deg] below which no sand is: one in radians is
+SLACK = 1.0e-3  # relative, of a limit that a user wrote in decimals
+LIGHT, WATER = 30.0, 1000.0  # density [kg/m^3] below which no soil and no snow is; that of water
 FASTEST, YEAR = 10.0, 365.25 * 86400.0
 """Coefficient of consolidation [m^2/s] above which no soil's is; seconds of a year."""
-WEAKEST = 5.0e-4
-"""Cohesion over the pressure rho g h under a body below which it looks like one in kPa."""
+WEAKEST = 5.0e-4  # cohesion over the pressure rho g h under a body below which it looks like one in kPa
 SOFTEST = 10.0
 """Young's modulus over the pressure rho g h under a body, below which it sinks by a twentieth of its height or more."""
 
 
 def checked(scene: SceneLayout) -> SceneLayout:
     """The scene with the boxes around its masses, where all of it fits together. Raises InputError."""
-    # First of all, because shapes are filled with particles before the rest is checked.
-    check_sizes(scene)
+    check_sizes(scene)  # first of all, because shapes are filled with particles before the rest is checked
     for key, solid in keyed(scene, "solids").items():
         check_solid(solid, key, scene.dimension)
         placed = solid.corner is None or scene.domain.origin is None
@@ -88,13 +79,11 @@ def check(scene: SceneLayout) -> None:
     require(len(scene.masses) > 0, "masses", "at least one mass", "none")
     for key, box in keyed(scene, "masses", "baffles").items():
         for name in ("lower", "size"):
-            if getattr(box, name) == ():
-                raise InputError("expected a value, the key is missing", key=f"{key}.{name}")
+            require(getattr(box, name) != (), f"{key}.{name}", "a value, the key is missing")
             check_vector(getattr(box, name), f"{key}.{name}", dimension)
         extents = zip(box.lower, box.size, domain.size, strict=True)
         inside = all(low >= -TOLERANCE and low + size <= limit + TOLERANCE for low, size, limit in extents)
-        got = f"{list(box.lower)} + {list(box.size)}"
-        require(inside, key, f"a box inside the domain {list(domain.size)}", got)
+        require(inside, key, f"a box inside the domain {list(domain.size)}", f"{list(box.lower)} + {list(box.size)}")
     sticks = [scene.friction_of(baffle) == ROUGH for baffle in scene.baffles]
     sticks += [solid.contact != "coulomb" for solid in scene.solids]
     for (key, solid), stuck in zip(keyed(scene, "baffles", "solids").items(), sticks, strict=True):
@@ -107,8 +96,7 @@ def check(scene: SceneLayout) -> None:
         require(side in sides, f"open_sides[{index}]", f"one of {', '.join(sides)}", repr(side))
         require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))
     for key, mass in keyed(scene, "masses").items():
-        # Other shapes say what is wrong with them when they are filled.
-        if mass.kind == "box":
+        if mass.kind == "box":  # other shapes say what is wrong with them when they are filled
             check_shape(mass, key, dimension)
         check_start(scene, mass, key)
     # Other shapes than boxes say so when they are filled.
@@ -190,8 +178,7 @@ def check_water(scene: SceneLayout) -> None:
         require(not enters, "masses", "no inflow in a scene with saturated material", "one")
         keeps = scene.volume_correction is not False
         require(keeps, "volume_correction", "true or none beside saturated material", "false")
-    alone = water.level is None or water.table is None
-    require(alone, "water.table", "none beside a level", "one")
+    require(water.level is None or water.table is None, "water.table", "none beside a level", "one")
     for name in ("origin", "spacing"):
         gridded = water.table is not None and scene.dimension == 3
         expected = "x and z of a table in 3D, and only of that"
@@ -210,13 +197,12 @@ def check_water(scene: SceneLayout) -> None:
 
 def resting_load(scene: SceneLayout, mass: Mass) -> float:
     """Pressure [Pa] of the masses with a `k0` that are stacked on `mass`, at most, on its top."""
-    level = [axis for axis in range(scene.dimension) if axis != 1]
     load, top = 0.0, mass.lower[1] + mass.size[1]
     for above in sorted(scene.masses, key=lambda other: other.lower[1]):
         shared = all(
             above.lower[axis] < mass.lower[axis] + mass.size[axis] - TOLERANCE
             and mass.lower[axis] < above.lower[axis] + above.size[axis] - TOLERANCE
-            for axis in level
+            for axis in range(0, scene.dimension, 2)
         )
         if above.k0 is not None and shared and abs(above.lower[1] - top) <= TOLERANCE:
             load -= scene.material_of(above).density * scene.gravity_vector[1] * above.size[1]
@@ -328,8 +314,7 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
         above = f"{level - scene.domain.size[1]:.3g} m above the top of the box"
         warnings.warn(f"water.level lies {above}: all that is saturated is full", stacklevel=3)
     terrains = [(key, solid) for key, solid in keyed(scene, "solids").items() if solid.kind == "terrain"]
-    # Of several the highest is the ground.
-    for key, solid in terrains if len(terrains) == 1 else ():
+    for key, solid in terrains if len(terrains) == 1 else ():  # of several the highest is the ground
         lowest = lowest_ground(scene.domain, solid, key)
         if lowest < -TOUCHING:
             said = f"falls {-lowest:.3g} m below the floor of the box, which is the ground there"

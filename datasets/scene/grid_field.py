@@ -52,8 +52,7 @@ class Grid:
 
     def weights(self, positions: Floats) -> Any:
         """Sparse matrix of w_k at `positions` [m], shape [N, D]; [N, K]. Its transpose takes derivatives to nodes."""
-        # Scenes without fields have no use for it.
-        from scipy.sparse import csr_array
+        from scipy.sparse import csr_array  # scenes without fields have no use for it
 
         count, node, weight = len(positions), np.zeros((len(positions), 1), np.int32), np.ones((len(positions), 1))
         for axis, (first, spacing, nodes) in enumerate(zip(self.origin, self.spacing, self.nodes, strict=True)):

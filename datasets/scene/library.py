@@ -17,7 +17,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, OutOfRange, naming, suggestion
+from datasets.errors import InputError, OutOfRange, naming, require, suggestion
 from datasets.exchange.scene_files import with_files
 from datasets.files import read_toml, write_text
 from datasets.scene import Scene
@@ -45,23 +45,19 @@ def find(name: str | Path, shelf: Path, what: str) -> Path:
     if name.endswith(".toml") or "/" in name:
         return Path(name)
     shipped = sorted(path.stem for path in shelf.glob("*.toml"))
-    if name not in shipped:
-        expected = f"the path of a {what} in TOML or a shipped name: {suggestion(name, shipped)}"
-        raise InputError(f"expected {expected}", where=name)
+    expected = f"the path of a {what} in TOML or a shipped name: {suggestion(name, shipped)}"
+    require(name in shipped, "", expected, where=name)
     return shelf / f"{name}.toml"
 
 
 def read_scene(name: str | Path) -> Scene:
     """Read the scene at a path, or of a shipped name such as `column-short-21`, with the files that it names beside it.
-
-    Raises InputError, which names the file and the key.
-    """
+    Raises InputError, which names the file and the key."""
     path = find(name, SCENES, "scene")
     with naming(path):
         data = read_toml(path)
-        if "unknowns" in data:
-            takes = "python -m inverse and python -m validation.loop take it"
-            raise InputError(f"expected a scene, got a problem: {takes}", key="unknowns")
+        takes = "python -m inverse and python -m validation.loop take it"
+        require("unknowns" not in data, "unknowns", "a scene", f"a problem: {takes}")
         return scene_from(data, path.parent)
 
 
@@ -108,15 +104,12 @@ def moved_entry(entry: Any, keys: dict[str, slice], by: NDArray[np.float64]) -> 
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:
-    """Write `scene` as TOML, the keys that differ from their defaults; `read_scene` gives an equal one.
-
-    In map coordinates where its box has an origin; then places are equal to a tenth of a micrometre.
-    """
+    """Write `scene` as TOML, the keys that differ from their defaults; `read_scene` gives an equal one. In map
+    coordinates where its box has an origin; then places are equal to a tenth of a micrometre."""
     table = changed(scene)
     for mass in table["masses"]:
         if mass.get("kind", "box") != "box":
-            # A scene works out the box around it.
-            del mass["lower"], mass["size"]
+            del mass["lower"], mass["size"]  # a scene works out the box around it
     if scene.domain.origin is not None:
         table = moved(table, scene.domain.corner)
     write_text(Path(path), tomli_w.dumps(table))

@@ -52,17 +52,13 @@ Inertial = Annotated[float, Bounds("a positive number, 1e-6 to 1e6", ge=1.0e-6, 
 Permeability = Annotated[float | None, Bounds("a permeability of at least 0 m/s, up to 100", ge=0.0, le=100.0)]
 Diffusivity = Annotated[float | None, Bounds("a coefficient of at least 0 m^2/s, up to 1e6", ge=0.0, le=1.0e6)]
 
-SHARED = ("law", "constants", "density", "young", "poisson")
-"""Keys that a material of any law has."""
-SOFTENING = ("friction_deg", "cohesion", "tension_cutoff")
-"""Keys that have a residual value."""
+SHARED = ("law", "constants", "density", "young", "poisson")  # keys that a material of any law has
+SOFTENING = ("friction_deg", "cohesion", "tension_cutoff")  # keys that have a residual value
 
 
 def sine_of_slope(tangent: Any, psi: float) -> Any:
-    """sin(phi) [-] of a slope's tan(angle) = sin phi cos psi / (1 - sin phi sin psi), psi in radians (Davis 1968).
-
-    A number, an array or a tensor.
-    """
+    """sin(phi) [-] of a slope's tan(angle) = sin phi cos psi / (1 - sin phi sin psi), psi in radians (Davis 1968). A
+    number, an array or a tensor."""
     return tangent / (math.cos(psi) + tangent * math.sin(psi))
 
 
@@ -157,8 +153,7 @@ class Material(Record):
         kind = "an angle" if self.angle == "triaxial" else "the angle of a slope"
         require(0.0 <= self.friction_deg < highest, "friction_deg", f"{kind} in [0, {highest:g}) degrees")
         loosest, span = (-self.friction_deg, "[-friction_deg") if self.saturated else (0.0, "[0")
-        dilates = loosest <= self.dilation_deg <= self.friction_deg
-        require(dilates, "dilation_deg", f"an angle in {span}, friction_deg]")
+        require(loosest <= self.dilation_deg <= self.friction_deg, "dilation_deg", f"an angle in {span}, friction_deg]")
         ends = self.dilation_deg == 0.0 or not self.saturated or self.softening_length is not None
         require(ends, "dilation_deg", "0 of saturated material without a softening_length, over which dilation ends,")
         strong = self.friction_deg > 0.0 or self.cohesion > 0.0 or self.law != MOHR_COULOMB
@@ -304,8 +299,7 @@ class Material(Record):
     def residual_tension_limit_at(self, depth: Depth, tangent: Depth | None = None) -> Depth:
         """Largest tension that it carries at `depth` [m] after softening [Pa]; `tangent`: another residual tan(phi)."""
         given = self.residual_tension_cutoff
-        cutoff = self.cutoff_at(depth) if given is None else given + 0.0 * depth
-        return self.residual.up_to_apex(cutoff, depth, tangent)
+        return self.residual.up_to_apex(self.cutoff_at(depth) if given is None else given + 0.0 * depth, depth, tangent)
 
     def up_to_apex(self, tension: Depth, depth: Depth, tangent: Depth | None = None) -> Depth:
         """`tension` [Pa], or the apex of the cone c cot(phi) at `depth` [m] where that is lower; Tresca's has none."""

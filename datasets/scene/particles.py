@@ -15,12 +15,9 @@ from datasets.scene import INFLOW, TOLERANCE, Mass, Scene, keyed
 from datasets.scene.grid_field import FRICTION, THICKNESS, Floats
 from datasets.scene.material import Material
 
-PARTICLE = 60
-"""Bytes that a particle takes while it is made, over the square of the dimensions."""
-ROUNDING = 1.0e-13
-"""Relative difference up to which two volumes are the same number."""
-RESOLVED = (3.0, 4.0)
-"""Cells across a body that a warning recommends."""
+PARTICLE = 60  # bytes that a particle takes while it is made, over the square of the dimensions
+ROUNDING = 1.0e-13  # relative difference up to which two volumes are the same number
+RESOLVED = (3.0, 4.0)  # cells across a body that a warning recommends
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,13 +75,10 @@ class Particles:
 
 
 def initial_particles(scene: Scene) -> Particles:
-    """Fill every mass of `scene` with particles.
-
-    A mass gets a lattice of about `cell / particles_per_axis`, fitted to its size along every axis (`lattice_counts`),
-    and each of its N particles the volume prod(size) / N; each is moved at random inside the share `jitter` of its own
-    lattice cell. A mass draws from its own stream, so that adding one leaves the others. Bodies that are no boxes:
-    `datasets.geometry.bodies`.
-    """
+    """Fill every mass of `scene` with particles: a lattice of about `cell / particles_per_axis`, fitted to its size
+    along every axis (`lattice_counts`), each of N particles with the volume prod(size) / N and moved at random inside
+    the share `jitter` of its lattice cell. A mass draws from its own stream, so that adding one leaves the others.
+    Bodies that are no boxes: `datasets.geometry.bodies`."""
     count = particle_count(scene)
     instead = f"there are {count}; larger cells or fewer particles_per_axis"
     require_memory(PARTICLE * scene.dimension**2 * count, "particles", instead, key="masses")
@@ -158,11 +152,9 @@ def cohesions(materials: Sequence[Material], material: NDArray[np.integer], dept
 def observed_cohesion(
     scene: Scene, positions: NDArray[np.floating], mass: NDArray[np.int32] | None
 ) -> NDArray[np.float32]:
-    """Cohesion [Pa], shape [N], of the particles of a trajectory that begin at `positions` [m], shape [N, D].
-
-    mass: the mass that each belongs to, where the particles are not those of `initial_particles`. Raises InputError
-    where masses differ and nothing says which particle belongs to which.
-    """
+    """Cohesion [Pa], shape [N], of the particles of a trajectory that begin at `positions` [m], shape [N, D]. mass: of
+    each, where they are not those of `initial_particles`. Raises InputError where masses differ and nothing says whose
+    each is."""
     materials = [scene.material_of(body) for body in scene.masses]
     grows = [material.strength_gradient > 0.0 for material in materials]
     alike = len(materials) == 1 or (len({material.cohesion for material in materials}) == 1 and not any(grows))
@@ -182,9 +174,7 @@ def observed_cohesion(
 
 def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
     """Particles along each axis of `mass`: the spacing nearest to `cell / particles_per_axis` that fits its size.
-
-    Spacings of a mass differ by a factor of two at most where every side is at least a cell.
-    """
+    Spacings of a mass differ by a factor of two at most where every side is at least a cell."""
     return [max(1, round(length / scene.particle_spacing)) for length in mass.size]
 
 
@@ -198,10 +188,8 @@ def mass_counts(scene: Scene) -> list[int]:
 
 def stretches(scene: Scene) -> list[Floats]:
     """Of the particles of each mass their thickness by a field over that of their layer [-], shape [1] where it is 1.
-
-    A layer with a field of thickness has the particles of its own one; the field moves them up or down in proportion
-    and changes their volumes, so that a flow depends on it smoothly.
-    """
+    The field moves the particles of a layer up or down in proportion and changes their volumes: a flow depends on it
+    smoothly."""
     factors = [np.ones(1) for _ in scene.masses]
     for field in scene.fields:
         for index in range(len(factors)) if field.mass is None else (field.mass,):
@@ -215,8 +203,7 @@ def stretches(scene: Scene) -> list[Floats]:
 def mass_volumes(scene: Scene) -> Floats:
     """Volume of each mass [m^D], that of its shape, of a layer with a field of thickness of its particles; [masses]."""
     volumes = (math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses)
-    means = [float(stretch.mean()) for stretch in stretches(scene)]
-    return np.asarray(np.fromiter(volumes, np.float64) * means)
+    return np.asarray(np.fromiter(volumes, np.float64) * [float(stretch.mean()) for stretch in stretches(scene)])
 
 
 def particle_count(scene: Scene) -> int:
@@ -235,10 +222,8 @@ def mass_centroids(scene: Scene) -> Floats:
 
 
 def mass_particle_volumes(scene: Scene) -> Floats:
-    """Volume of a particle of each mass [m^D], shape [masses]: the mass's own volume over the number of its particles.
-
-    Volumes that differ by rounding alone are the same number, `scene.particle_volume` where the masses fit the lattice.
-    """
+    """Volume of a particle of each mass [m^D], shape [masses]: the mass's own over the number of its particles. Those
+    that differ by rounding are one number, `scene.particle_volume` where the masses fit the lattice."""
     volumes = [scene.particle_volume]
     for volume in (mass_volumes(scene) / mass_counts(scene)).tolist():
         volumes.append(next((earlier for earlier in volumes if abs(volume - earlier) <= ROUNDING * earlier), volume))
@@ -256,11 +241,8 @@ def initial_volumes(scene: Scene) -> Floats:
 
 
 def particle_volumes(scene: Scene, count: int) -> Floats:
-    """Initial volume [m^D] of each of the `count` particles of a trajectory of `scene`, shape [count].
-
-    Of other particles than those that `initial_particles` makes (another code's) only the mean is known: that of the
-    masses over their number.
-    """
+    """Initial volume [m^D] of each of the `count` particles of a trajectory of `scene`, shape [count]. Of other
+    particles than those of `initial_particles` (another code's) only the mean is known."""
     volumes = initial_volumes(scene)
     return volumes if len(volumes) == count else np.full(count, volumes.sum() / count)
 
@@ -272,11 +254,8 @@ def warn_if_unresolved(scene: Scene) -> None:
 
 
 def unresolved(scene: Scene, cells: float) -> str:
-    """Which masses are thinner than so many cells, and the cell that would resolve them; empty where none is.
-
-    A mass that continues in another one of its material across its thin side is no thinner than the two together, and
-    a mass of a single particle is meant to be one.
-    """
+    """Which masses are thinner than so many cells, and the cell that would resolve them; empty where none is. Does not
+    count: a mass that goes on in another of its material across its thin side, and one of a single particle."""
     cell, thin = scene.domain.cell, dict[str, float]()
     for (key, mass), count in zip(keyed(scene, "masses").items(), mass_counts(scene), strict=True):
         across = thinnest(scene, mass) if count > 1 else math.inf

@@ -172,10 +172,8 @@ class Baffle(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Channel(Record):
-    """Two vertical walls along x between which a scene in 2D flows; their friction acts on its whole depth.
-
-    Per volume of the material -2 tan(friction) (-sigma_zz) v / (width |v|), with its own pressure across the plane.
-    """
+    """Two vertical walls along x between which a scene in 2D flows; their friction acts on its whole depth. Per volume
+    of the material -2 tan(friction) (-sigma_zz) v / (width |v|), with its own pressure across the plane."""
 
     width: Length
     """Distance between the walls [m]."""

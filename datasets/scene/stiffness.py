@@ -24,10 +24,8 @@ import numpy as np
 from datasets.scene.material import USUAL_YOUNG, Material
 from datasets.scene.parts import SceneLayout
 
-UNDER_WEIGHT, IN_MOTION = 50.0, 1.0
-"""Young's modulus over rho g h, and over rho v^2."""
-PLACES = 100
-"""Along the longest side of the box, of the ground that is looked at."""
+UNDER_WEIGHT, IN_MOTION = 50.0, 1.0  # Young's modulus over rho g h, and over rho v^2
+PLACES = 100  # along the longest side of the box, of the ground that is looked at
 
 
 def with_stiffness(scene: SceneLayout) -> dict[str, Any]:

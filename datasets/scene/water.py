@@ -17,14 +17,10 @@ from datasets.errors import require
 from datasets.scene.material import Material
 from datasets.scene.parts import SceneLayout
 
-DENSITY = 1000.0
-"""Of water [kg/m^3]."""
-CAVITATION = 1.0e5
-"""Suction at which water boils [Pa]."""
-NO_GRAVITY = 1.0e-9
-"""Less than any [m/s^2]."""
-STIFFER = 20.0
-"""Q / M [-]."""
+DENSITY = 1000.0  # of water [kg/m^3]
+CAVITATION = 1.0e5  # suction at which water boils [Pa]
+NO_GRAVITY = 1.0e-9  # less than any [m/s^2]
+STIFFER = 20.0  # Q / M [-]
 DRAINED, UNDRAINED = 3.0, 0.01
 """c_v t / h^2 from which on a layer of thickness h has consolidated by 99.9 %, and up to which by a ninth at most."""
 

@@ -125,8 +125,7 @@ def test_what_is_saved_is_broken_off_at_once() -> None:
     with stopping() as stop:
         with pytest.raises(KeyboardInterrupt), stop.at_once():
             signal.raise_signal(signal.SIGINT)
-        # Asked before it began: it does not begin.
-        with pytest.raises(KeyboardInterrupt), stop.at_once():
+        with pytest.raises(KeyboardInterrupt), stop.at_once():  # asked before it began: it does not begin
             pytest.fail("began")
 
 

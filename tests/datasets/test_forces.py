@@ -54,10 +54,8 @@ def test_frames_after_rest_are_none(flow: Trajectory) -> None:
     impulse = flow.solid_impulse.copy()
     impulse[3:] = impulse[3]
     walls = np.minimum(np.arange(11) * 0.01, 0.04)[:, None] * [3.0, -5.0]
-    rested = dataclasses.replace(
-        flow, solid_impulse=impulse, summary={"end_time": 0.04, "side_impulse": {"y-": walls.tolist()}}
-    )
-    forces = forces_of(rested)
+    summary = {"end_time": 0.04, "side_impulse": {"y-": walls.tolist()}}
+    forces = forces_of(dataclasses.replace(flow, solid_impulse=impulse, summary=summary))
     np.testing.assert_allclose(forces.time, [0.01, 0.02, 0.04])
     np.testing.assert_allclose(forces.impulse[:2], impulse[-1], atol=1e-12)
     np.testing.assert_allclose(forces.force[:, 2], np.tile([3.0, -5.0], (3, 1)))

@@ -12,7 +12,6 @@ from shapely.geometry import shape
 
 from datasets import Baffle, Mass, Scene, Solid, Trajectory
 from datasets.command_line import run
-from datasets.flow.plan import add_to_plan
 from datasets.maps import KINDS, command, maps_of, region_above, write
 from datasets.scene.grid_field import Grid
 from datasets.scene.particles import initial_particles
@@ -23,9 +22,8 @@ from tests.scenes import flow_of
 
 def scene_of(size: tuple[float, ...], *boxes: tuple[tuple[float, ...], tuple[float, ...]], cell: float = 0.05) -> Scene:
     """Boxes of sand (lower corner, size) in a box."""
-    return scenes.scene_of(
-        *(Mass(lower=lower, size=extent) for lower, extent in boxes), size=size, cell=cell, frame_dt=0.1, jitter=0.0
-    )
+    masses = (Mass(lower=lower, size=extent) for lower, extent in boxes)
+    return scenes.scene_of(*masses, size=size, cell=cell, frame_dt=0.1, jitter=0.0)
 
 
 def sliding(scene: Scene) -> Trajectory:
@@ -35,15 +33,18 @@ def sliding(scene: Scene) -> Trajectory:
     return flow_of(scene, [start + number * step for number in range(5)], velocity0=velocity0)
 
 
-@pytest.mark.parametrize("cell", [0.026, 0.17])
+@pytest.mark.parametrize("cell", [0.026, 0.17, 0.5])
 def test_volume_is_that_of_the_particles(cell: float) -> None:
-    """Wherever they are, in corners and on walls too, in masses of different particles."""
+    """Wherever they are, in corners and on walls too, in masses of different particles; in the parts of a grid."""
     size = (1.0, 0.5, 0.6)
     scene = scene_of(size, ((0.0, 0.0, 0.0), (0.21, 0.13, 0.3)), ((0.5, 0.0, 0.1), (0.3, 0.1, 0.2)))
     start = initial_particles(scene)
     coordinates = np.random.default_rng(1).random(start.positions.shape) * size
     coordinates[:8] = np.array(np.meshgrid(*[(0.0, length) for length in size])).reshape(3, -1).T
-    maps = maps_of(flow_of(scene, [start.positions, coordinates]), cell)
+    flow = flow_of(scene, [start.positions, coordinates])
+    maps = maps_of(flow, cell)
+    parts = maps.grid.weights(flow.positions[-1, :, ::2].astype(np.float64)).T @ start.volume
+    np.testing.assert_allclose(maps.thickness.ravel() * cell**2, parts, rtol=1e-12, atol=1e-12)
     assert maps.thickness.sum() * cell**2 == pytest.approx(start.volume.sum(), rel=1e-12)
     assert (maps.volume, maps.left) == (pytest.approx(start.volume.sum(), rel=1e-12), 0.0)
     assert np.all(maps.depth >= np.maximum(maps.start, maps.thickness) * (1.0 - 1e-12))
@@ -174,9 +175,8 @@ def test_the_threshold_is_at_most_half_of_the_thinnest_layer(thickness: object, 
     """A layer of less than a spacing of particles has maps; beside it stands a thick mass."""
     extra = {"origin": (0.4, 0.2), "spacing": (0.2, 0.2)} if isinstance(thickness, tuple) else {}
     layer = Mass(kind="layer", thickness=thickness, outline=((0.3, 0.1), (0.7, 0.1), (0.7, 0.5), (0.3, 0.5)), **extra)
-    scene = scenes.scene_of(
-        layer, Mass(lower=(0.8, 0.0, 0.1), size=(0.1, 0.3, 0.1)), size=(1.0, 0.5, 0.6), cell=0.05, jitter=0.0
-    )
+    thick = Mass(lower=(0.8, 0.0, 0.1), size=(0.1, 0.3, 0.1))
+    scene = scenes.scene_of(layer, thick, size=(1.0, 0.5, 0.6), cell=0.05, jitter=0.0)
     maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
     assert maps.threshold == pytest.approx(threshold, rel=0.02)
     assert region_above(maps.grid, maps.thickness, threshold).bounds[0] == pytest.approx(0.3, abs=0.05)
@@ -192,22 +192,3 @@ def test_what_has_no_map_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
         sand = (0.1, 0.0, 0.0)[:dimension], (0.2, 0.1, 0.2)[:dimension]
         sliding(scene_of(box[:dimension], sand)).save(tmp_path / "trajectory.npz")
         assert words in refused_by(capsys, command, tmp_path / "trajectory.npz", "--out", tmp_path, *flags)
-
-
-@pytest.mark.parametrize("nodes", [(7, 5), (1, 4), (3, 1)])
-@pytest.mark.parametrize("share", [1.0, 0.25])
-def test_cells_have_the_parts_of_a_grid(nodes: tuple[int, int], share: float) -> None:
-    """Of particles that go straight on, where the cubic is the line; not of one without volume, nor of one outside."""
-    rng, cell, size = np.random.default_rng(2), 0.5, np.array([0.5 * nodes[0], 1.0, 0.5 * nodes[1]])
-    first = (rng.uniform(0.1, 0.9, (40, 3)) * size).astype(np.float32)
-    velocity, volumes = rng.normal(size=(40, 3)).astype(np.float32), rng.uniform(0.5, 1.0, 40)
-    first[4, 1], volumes[3] = 2.0, 0.0
-    second = first + np.float32(0.01) * velocity
-    sums, touched = np.zeros((*nodes, 4)), np.zeros(nodes[0] * nodes[1], np.int64)
-    limits = np.array([np.zeros(3), size])
-    count = add_to_plan((first, second), (velocity, velocity), share, 0.01, volumes, limits, cell, sums, touched)
-    places, inside = (first + share * (second - first)).astype(np.float64), np.delete(np.arange(40), [3, 4])
-    weights = Grid((0.5 * cell,) * 2, (cell,) * 2, nodes).weights(places[inside][:, ::2]).T
-    momentum = volumes[inside, None] * velocity[inside]
-    np.testing.assert_allclose(sums.reshape(-1, 4), weights @ np.c_[volumes[inside], momentum], atol=1e-4)
-    assert sorted(touched[:count]) == np.flatnonzero(sums[..., 0]).tolist()

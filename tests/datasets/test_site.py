@@ -95,9 +95,7 @@ def test_the_slope_beside_holes_is_that_of_the_ground(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("edge", "thick"), [(0.3, 1.5), (400.0, 0.01)])
-def test_releases_smaller_than_a_cell_of_the_raster_and_thinner_than_a_particle(
-    tmp_path: Path, edge: float, thick: float
-) -> None:
+def test_releases_smaller_than_a_cell_and_thinner_than_a_particle(tmp_path: Path, edge: float, thick: float) -> None:
     """The corner of four cells lies in none of half their size; and particles are no more than the page says."""
     rows = np.tile(UP - 0.3 * 25.0 * np.arange(40), (40, 1))
     write_raster(tmp_path / "dem.tif", rows, "EPSG:2056", transform=Affine(25.0, 0.0, EAST, 0.0, -25.0, NORTH + 1000.0))
@@ -125,8 +123,7 @@ def test_a_thickness_by_raster(tmp_path: Path) -> None:
     place = Affine(10.0, 0.0, EAST, 0.0, -10.0, NORTH + 200.0)
     write_raster(tmp_path / "depth.tif", rows, "EPSG:2056", transform=place)
     scene = made(tmp_path, "--cell", "2", "--thickness", str(tmp_path / "depth.tif"))
-    # 20 x 20 m of each.
-    assert mass_volumes(scene)[0] * math.cos(SLOPE) == pytest.approx(400.0 * 3.0, rel=1e-3)
+    assert mass_volumes(scene)[0] * math.cos(SLOPE) == pytest.approx(400.0 * 3.0, rel=1e-3)  # 20 x 20 m of each
     start = initial_particles(scene).positions + scene.domain.corner
     assert start[:, 2].max() < NORTH + 106.0
     upright = made(tmp_path, "--cell", "2", "--vertical", "--thickness", str(tmp_path / "depth.tif"))

@@ -103,8 +103,7 @@ def test_terrain3d_releases_layers_and_boxes_on_every_kind_of_ground() -> None:
     assert {bool(scene.solids[0].turbulence) for scene in scenes} == {True, False}
     rough = [np.abs(np.diff(np.array(scene.solids[0].heights), n=2, axis=0)).mean() for scene in scenes]
     assert max(rough) > 3.0 * min(rough)
-    # A box stands on the highest post beneath it.
-    assert 0.0 < heights_above_ground(scenes[5]).min() < 0.1
+    assert 0.0 < heights_above_ground(scenes[5]).min() < 0.1  # a box stands on the highest post beneath it
 
 
 @pytest.mark.parametrize(("name", "count"), [("baffles-2", 11_010), ("baffles-5", 32_113)])

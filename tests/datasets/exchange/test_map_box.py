@@ -48,8 +48,7 @@ def test_a_box_around_a_polygon_is_as_high_as_its_ground(tmp_path: Path) -> None
     domain = scene.domain
     assert domain.crs == SWISS
     assert domain.origin[::2] == (EAST + 70.0, NORTH + 50.0)
-    # Of 25 cells 26: on twice as large ones the box is the same.
-    assert domain.size[::2] == (104.0, 104.0)
+    assert domain.size[::2] == (104.0, 104.0)  # of 25 cells 26: on twice as large ones the box is the same
     assert scene.with_cell(8.0).domain.size == domain.size
     ground = np.array(scene.solids[0].heights) + domain.origin[1]
     bottom, top = domain.origin[1], domain.origin[1] + domain.size[1]

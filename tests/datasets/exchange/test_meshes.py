@@ -14,7 +14,6 @@ from tests.refusals import refused
 
 
 def volume_of(path: Path) -> float:
-    """Volume of the mesh in a file."""
     vertices, triangles = outward(*read_mesh(path), "")
     return float(manifold(vertices, triangles).volume())
 

@@ -120,9 +120,8 @@ def test_solids_are_those_of_both_and_the_ground_lies_over_the_box(tmp_path: Pat
     write_view(page, dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, baffles=(), solids=(ground,))))
     head, _ = parts(page)
     assert head["solids"] == []
-    np.testing.assert_allclose(
-        head["ground"]["y"], np.maximum(0.1 * np.array(head["ground"]["x"]) - 0.02, 0.0), atol=1e-6
-    )
+    expected = np.maximum(0.1 * np.array(head["ground"]["x"]) - 0.02, 0.0)
+    np.testing.assert_allclose(head["ground"]["y"], expected, atol=1e-6)
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium")

@@ -38,7 +38,6 @@ LAYER = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
 
 
 def scene(folder: Path, text: str) -> Scene:
-    """The scene of `text`, read from a file in `folder`."""
     (folder / "scene.toml").write_text(text)
     return read_scene(str(folder / "scene.toml"))
 
@@ -207,8 +206,7 @@ def test_a_raster_of_thickness_lies_beside_the_terrains(tmp_path: Path, crs: str
     write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:32632")
     write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), crs, transform=place)
     loaded = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + LAYER)
-    # The raster's cells whole.
-    assert mass_volumes(loaded)[0] == pytest.approx(0.4 * 0.3 * 0.1, rel=1e-9)
+    assert mass_volumes(loaded)[0] == pytest.approx(0.4 * 0.3 * 0.1, rel=1e-9)  # the raster's cells whole
     particles = initial_particles(loaded).positions
     np.testing.assert_allclose(particles.min(axis=0), (1.0, 0.2, 0.5), atol=0.025)
     np.testing.assert_allclose(particles.max(axis=0), (1.4, 0.3, 0.8), atol=0.025)

@@ -49,8 +49,7 @@ def test_the_polygons_of_one_layer(tmp_path: Path) -> None:
 def test_degrees_come_into_the_system_of_the_map(tmp_path: Path, name: str) -> None:
     degrees = shapely.transform(FIELD, lambda rows: np.stack(transform(SWISS, "EPSG:4326", *rows.T), axis=1))
     (feature,) = read_polygons(written(tmp_path / name, degrees, "EPSG:4326"), SWISS)
-    # GDAL writes degrees to 1 cm.
-    assert feature.polygon.symmetric_difference(FIELD).area < 2.0
+    assert feature.polygon.symmetric_difference(FIELD).area < 2.0  # GDAL writes degrees to 1 cm
     if name.endswith("kml"):
         refused(read_polygons, tmp_path / name, None, said="got degrees")
 

@@ -43,7 +43,6 @@ def flow() -> Trajectory:
 
 
 def read(folder: Path) -> dict[float, list[pyvista.PolyData]]:
-    """The parts of each time."""
     reader = pyvista.get_reader(folder / "trajectory.pvd")
     series = {}
     for time in reader.time_values:
@@ -89,8 +88,7 @@ def test_two_dimensions(tmp_path: Path) -> None:
     assert set(solids.cell_data) == {"solid", "friction"}
     assert solids.n_lines == solids.n_cells
     assert domain.length == pytest.approx(np.hypot(0.5, 0.25))
-    # What never changes has one file.
-    assert (tmp_path / "solids.vtp").exists()
+    assert (tmp_path / "solids.vtp").exists()  # what never changes has one file
 
 
 def grounded(flow: Trajectory) -> Trajectory:
@@ -108,8 +106,7 @@ def test_solids_are_a_surface_of_their_own(tmp_path: Path, flow: Trajectory) -> 
     flow = grounded(flow)
     write_vtk(flow, tmp_path)
     _, solids, _ = read(tmp_path)[0.02]
-    # Baffles first, then the terrain and the wall.
-    assert set(np.unique(solids["solid"])) == {0, 1, 2, 3}
+    assert set(np.unique(solids["solid"])) == {0, 1, 2, 3}  # baffles first, then the terrain and the wall
     np.testing.assert_array_equal(np.unique(solids["friction"][solids["solid"] == 2]), np.float32(0.5))
     assert np.isinf(solids["friction"][solids["solid"] == 3]).all()
     for number in range(4):

@@ -81,10 +81,8 @@ def test_faces_that_nearly_meet_are_not_refused(gap: float) -> None:
     ],
 )
 def test_less_than_a_common_face_is_refused(second: Solid, said: str) -> None:
-    refused(
-        lambda: surface(scene_of(FIRST, second, size=SPACE)),
-        said=f"solids[1]: expected solids that overlap or share a face, got one that meets solids[0] {said}",
-    )
+    words = f"solids[1]: expected solids that overlap or share a face, got one that meets solids[0] {said}"
+    refused(lambda: surface(scene_of(FIRST, second, size=SPACE)), said=words)
 
 
 @pytest.mark.parametrize("gap", [0.0, 1.0e-4])

@@ -26,13 +26,11 @@ def scene_of(*masses: Mass, solids: tuple[Solid, ...] = (), dimension: int = 2, 
 
 
 def ball(centre: tuple[float, float, float], radius: float) -> Mass:
-    """A ball of material as a mesh."""
     vertices, triangles = sphere(centre, radius, 32)
     return Mass(kind="mesh", vertices=as_rows(vertices), triangles=as_rows(triangles))
 
 
 def polygon(*vertices: tuple[float, float]) -> Mass:
-    """A polygon of material."""
     return Mass(kind="polygon", vertices=vertices)
 
 

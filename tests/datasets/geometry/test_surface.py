@@ -83,10 +83,9 @@ def test_friction_is_linear_over_a_height_field_under_a_box() -> None:
     friction = tuple((float(0.2 + 0.1 * a),) * 11 for a in x)
     ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.1, 0.1), heights=rows, friction=friction)
     faces = surface(scene_of(ground, Solid(lower=(0.93, 0.0, 0.37), size=(0.2, 0.5, 0.2), friction=3.0), size=SPACE))
-    mine = (
-        (faces.solid == 0) & (faces.corners[:, :, 0] >= 0.0).all(axis=1) & (faces.corners[:, :, 0] <= 2.0).all(axis=1)
-    )
-    np.testing.assert_allclose(faces.friction[mine], 0.2 + 0.1 * faces.corners[mine][..., 0], atol=1e-6)
+    along = faces.corners[:, :, 0]
+    mine = (faces.solid == 0) & (along >= 0.0).all(axis=1) & (along <= 2.0).all(axis=1)
+    np.testing.assert_allclose(faces.friction[mine], 0.2 + 0.1 * along[mine], atol=1e-6)
     np.testing.assert_allclose(faces.friction[faces.solid == 1], 3.0)
 
 

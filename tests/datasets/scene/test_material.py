@@ -116,9 +116,8 @@ def test_the_speed_of_a_block_on_a_plane() -> None:
         scene = on_plane(sheet(1.0), solids=(dataclasses.replace(PLANE, friction=friction),))
         expected = math.sqrt(2.0 * 9.81 * max(fallen, fallen + level * (0.5 - mu)))
         assert greatest_speed(scene) == pytest.approx(expected, rel=0.02)
-    tilted = scene_of(
-        Mass(lower=(0.0, 0.0), size=(20.0, 1.0)), size=(200.0, 10.0), cell=1.0, slope_deg=20.0, floor_friction=0.2
-    )
+    block = Mass(lower=(0.0, 0.0), size=(20.0, 1.0))
+    tilted = scene_of(block, size=(200.0, 10.0), cell=1.0, slope_deg=20.0, floor_friction=0.2)
     slope = math.radians(20.0)
     exact = 2.0 * 9.81 * (190.0 * (math.sin(slope) - 0.2 * math.cos(slope)) + math.cos(slope))
     assert greatest_speed(tilted) == pytest.approx(math.sqrt(exact), rel=0.01)
