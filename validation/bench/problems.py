@@ -219,7 +219,9 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
 
 def made_of(problem: Problem) -> str:
     """Digest of the problem and of the weights of a surrogate that may be asked."""
-    text, asked = repr(replace(problem, folder=Path())), problem.surrogate is not Surrogate.NONE
+    # Wherever the problem lies.
+    text = repr(problem).replace(repr(problem.folder), repr(Path()))
+    asked = problem.surrogate is not Surrogate.NONE
     weights = library.shipped(problem.scene).read_bytes() if asked else b""
     return hashlib.sha256(text.encode() + weights).hexdigest()[:16]
 
