@@ -10,8 +10,7 @@ from datasets.files import read_json, reading
 
 FIELDS = ("velocities", "pressure", "plastic_strain", "pore_pressure")
 """Recorded ones that the page can show."""
-TARGETS = "mpm/target-*.npz"
-"""Where `validation.loop` leaves the flow of a twin experiment."""
+TARGETS = "mpm/target-*.npz"  # where `validation.loop` leaves the flow of a twin experiment
 
 
 def source_of(path: Path) -> tuple[Path, str, dict[str, Any]]:

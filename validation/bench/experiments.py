@@ -28,14 +28,11 @@ from validation.experiments.experiment import (
 from validation.plots import BLUE, INK, LIGHT_BLUE, ORANGE, figure
 from validation.run_store import Run, RunStore, kept
 
-CLOSE = 2.0
-"""Spreads within which a number agrees."""
+CLOSE = 2.0  # spreads within which a number agrees
 LADDER_DEG = (16.0, 20.0, 24.0, 28.0, 32.0)
 """Angles at which every case is run on its coarse cells: the slope of its front."""
-INFERRED = "inferred"
-"""Name of an angle that comes from the experiment itself."""
-RECORDED = 5
-"""Frames from one to the next of a flow that is measured over time."""
+INFERRED = "inferred"  # name of an angle that comes from the experiment itself
+RECORDED = 5  # frames from one to the next of a flow that is measured over time
 
 Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
 """Runs to their flows, as `validation.run_store.RunStore.run`."""
@@ -45,17 +42,12 @@ Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
 class CaseScore:
     """A measured number beside the computed one."""
 
-    label: str
-    """Experiment, case, quantity."""
+    label: str  # experiment, case, quantity
     measured: Measured
-    angle: str
-    """Such as 22.0° (repose, μ(I))."""
-    independent: bool
-    """Whether the angle was measured by itself, not inferred from this experiment."""
-    coarse: float
-    """Computed on the coarse cells [m]; nan where there was no such run."""
-    fine: float
-    """On the fine cells [m]; the coarse one's for another angle than the first."""
+    angle: str  # such as 22.0° (repose, μ(I))
+    independent: bool  # whether the angle was measured by itself, not inferred from this experiment
+    coarse: float  # computed on the coarse cells [m]; nan where there was no such run
+    fine: float  # on the fine cells [m]; the coarse one's for another angle than the first
 
     @property
     def error(self) -> float:
@@ -71,14 +63,10 @@ class CaseScore:
 class Inferred:
     """The angle at which the front is the measured one, beside the material's own."""
 
-    label: str
-    """Experiment and case."""
-    own: Angle | None
-    """The material's; None where none was measured."""
-    deg: float
-    """On the fine cells [deg]."""
-    half_width_deg: float
-    """By CLOSE times the measurement's spread [deg]."""
+    label: str  # experiment and case
+    own: Angle | None  # the material's; None where none was measured
+    deg: float  # on the fine cells [deg]
+    half_width_deg: float  # by CLOSE times the measurement's spread [deg]
 
     @property
     def difference_deg(self) -> float:
@@ -96,18 +84,12 @@ class Predicted:
     """What a prediction says on one grid."""
 
     variant: str
-    cell: float
-    """[m]."""
-    gauges: tuple[float, ...]
-    """Distances [m]."""
-    time: Floats
-    """Of the frames [s], shape [T]."""
-    front: Floats
-    """Its distance [m], shape [T]."""
-    thickness: Floats
-    """At the gauges [m], shape [G, T]."""
-    arrivals: Floats
-    """At the gauges [s], shape [G]; nan where the front does not get there."""
+    cell: float  # [m]
+    gauges: tuple[float, ...]  # distances [m]
+    time: Floats  # of the frames [s], shape [T]
+    front: Floats  # its distance [m], shape [T]
+    thickness: Floats  # at the gauges [m], shape [G, T]
+    arrivals: Floats  # at the gauges [s], shape [G]; nan where the front does not get there
 
 
 def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:

@@ -31,33 +31,26 @@ from validation.bench.page import Keep, Out, Row, between, tables, write_page
 from validation.plots import BLUE, INK, ORANGE, figure
 from validation.run_store import Run, RunStore, kept
 
-SEED = 1
-"""Of the held-out scenes; the training data have 0."""
+SEED = 1  # of the held-out scenes; the training data have 0
 SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 18, "obstacle3d": 4, "terrain3d": 6}}
 """Held-out scenes of each family, one of every kind after the other, by dimension; references in 3D are dear."""
 CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
 """Of the coarse MPM, across the smallest side of the body, by dimension."""
-LEVEL = 0.95
-"""Of the bands."""
+LEVEL = 0.95  # of the bands
 AGAIN = "the MPM, jittered anew"
-CREST = ((0.3, 0.0), (1.1, 0.0), (0.7, 0.2))
-"""Corners of a mound [m]."""
+CREST = ((0.3, 0.0), (1.1, 0.0), (0.7, 0.2))  # corners of a mound [m]
 MOUNDS = ((45.0, 12.0), (42.0, 8.0), (35.0, 0.0))
 """Angles of friction and of the floor [deg] under which it stays where it is."""
-JITTERS = 3
-"""Of a mound."""
+JITTERS = 3  # of a mound
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
     """One held-out scene by a model and by the MPM."""
 
-    kind: str
-    """Of the scene."""
-    extent: float
-    """Of the reference's deposit [m]."""
-    free: bool
-    """Whether no wall holds the reference's front."""
+    kind: str  # of the scene
+    extent: float  # of the reference's deposit [m]
+    free: bool  # whether no wall holds the reference's front
     by: Mapping[str, Errors]
     """By method: the model's name, the MPM on coarse cells, a run like the reference jittered anew."""
     seconds: Mapping[str, float]

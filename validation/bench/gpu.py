@@ -4,7 +4,7 @@ from functools import partial
 
 from datasets.errors import InputError
 from datasets.processes import processors
-from validation.bench.measuring import Spread, turns
+from validation.bench.measuring import turns
 from validation.bench.page import Out, Rounds, between, formatted, write_page
 from validation.bench.speed import NETWORK, PER_NODE, Mode, Workload, network_rows, rate, rate_rows
 
@@ -30,8 +30,7 @@ def bench(*, out: Out, rounds: Rounds = 2) -> str:
         raise InputError("expected a GPU that torch can use, there is none", where="bench gpu")
     threads = processors()
     modes: list[Mode] = [("f32", threads), ("f32", 0), ("f64", 0)]
-    timed = turns({(case, mode): partial(rate, case, mode) for mode in modes for case in CASES}, rounds, "rates")
-    rates = {key: Spread(values) for key, values in timed.items()}
+    rates = turns({(case, mode): partial(rate, case, mode) for mode in modes for case in CASES}, rounds, "rates")
     beside = [network_rows(rounds=rounds, device=device) for device in ("cpu", "cuda")]
     gains = {case: rates[case, ("f32", 0)].median / rates[case, ("f32", threads)].median for case in CASES}
     least, most = sorted(gains, key=gains.__getitem__)[:: len(CASES) - 1]

@@ -26,38 +26,29 @@ from validation.bench.page import Keep, Out, Row, between, tables, write_page
 from validation.run_store import kept
 
 PARAMETERS = "simulationParameterValues_{}.csv"
-MOVES = 1.0
-"""Peak speed [m/s] from which a cell counts as reached."""
+MOVES = 1.0  # peak speed [m/s] from which a cell counts as reached
 COVERED = 0.1
 """Thickness [m] from which the speed of a cell counts: a particle alone in a cell of 5 m is less."""
-EVERY = 2
-"""Frames from one that is kept for the maps to the next."""
-NEAREST = "com1DFA"
-"""The code that cell by cell is compared with."""
-ALIKE = ("com1DFA", "MPM")
-"""Codes of particles, which the speeds are compared with where they are there."""
+EVERY = 2  # frames from one that is kept for the maps to the next
+NEAREST = "com1DFA"  # the code that cell by cell is compared with
+ALIKE = ("com1DFA", "MPM")  # codes of particles, which the speeds are compared with where they are there
 
 
 @dataclass(frozen=True)
 class Slide:
     """A case of the comparison."""
 
-    codes: tuple[str, ...]
-    """Whose peaks are in the data."""
-    axis: int
-    """Along which it runs: 0 by easting, 1 by northing."""
-    onward: int
-    """1 where coordinates grow along the flow, else -1."""
-    sections: tuple[float, ...]
-    """Coordinates of the cross-sections [m]."""
+    codes: tuple[str, ...]  # whose peaks are in the data
+    axis: int  # along which it runs: 0 by easting, 1 by northing
+    onward: int  # 1 where coordinates grow along the flow, else -1
+    sections: tuple[float, ...]  # coordinates of the cross-sections [m]
     cells: tuple[float, ...] = (4.0, 2.0)
     """Edges of the grid's cells [m] that are affordable, coarse ones first."""
     internal_friction: float = 45.0
     """[deg]. Voellmy's law is that of a layer that does not shear inside: it has to be steeper than the slope."""
 
 
-SLIDING, STEEP = 0.35, 35.0
-"""Friction of the bed of avaSlide, and angle of internal friction there [deg]."""
+SLIDING, STEEP = 0.35, 35.0  # friction of the bed of avaSlide, and angle of internal friction there [deg]
 RAISED = ((5.0, 0.0), (2.5, 0.0), (5.0, 1234.56))
 """Cells [m] on which avaSlide runs, and by what its ground is raised [m]."""
 OTHERS = ("com1DFA", "samosat", "RAMMSUSER", "TITAN2D", "TRENT2D")

@@ -24,10 +24,8 @@ from validation.run_store import kept
 RESULT, KEY = "result.json", "made-of.txt"
 """Of a problem: what the loop wrote, and a digest of what it was made of."""
 ENDED = (0, 1)  # confirmed, and not
-LISTED = 4
-"""Of more numbers than these the page has one row."""
-ALONE, LED, COARSE = "MPM alone", "surrogate leads", "larger cells lead"
-"""The ways to an answer."""
+LISTED = 4  # of more numbers than these the page has one row
+ALONE, LED, COARSE = "MPM alone", "surrogate leads", "larger cells lead"  # the ways to an answer
 COLOURS = {ALONE: BLUE, LED: ORANGE}
 
 
@@ -36,14 +34,11 @@ class Criteria(Record):
     """What an outcome is compared with."""
 
     verdict: Verdict = Verdict.CONFIRMED
-    front_error_pct: float = math.inf
-    """Largest relative error of the front in the MPM."""
+    front_error_pct: float = math.inf  # largest relative error of the front in the MPM
     unknown_error_pct: float = math.inf
     """Largest relative error of a number, where its half-width is no wider."""
-    loss: float = math.inf
-    """Largest loss in the MPM [m^2]."""
-    inside: bool = False
-    """Whether every true value is to be within its interval."""
+    loss: float = math.inf  # largest loss in the MPM [m^2]
+    inside: bool = False  # whether every true value is to be within its interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +55,7 @@ class Section(Record):
 
     title: str
     problems: tuple[str, ...]
-    pictures: tuple[str, ...] = ()
-    """PROBLEM/PICTURE that the page shows, without the ending."""
+    pictures: tuple[str, ...] = ()  # PROBLEM/PICTURE that the page shows, without the ending
     again: tuple[Surrogate, ...] = ()
     """Each problem is solved once more with each of these in place of what it asks for."""
     criteria: Criteria
@@ -73,8 +67,7 @@ class Section(Record):
 
 
 SHIPPED = read_toml(Path(__file__).with_suffix(".toml"))
-FAMILIES = [from_mapping(Section, each) for each in SHIPPED["families"]]
-"""In the order of the page."""
+FAMILIES = [from_mapping(Section, each) for each in SHIPPED["families"]]  # in the order of the page
 PAPER = {name: from_mapping(Paper, each) for name, each in SHIPPED["paper"].items()}
 """Its figures, by problem."""
 
@@ -87,15 +80,11 @@ class AnsweredNumber:
     unit: str
     truth: float | None
     paper: float | None
-    surrogate: float | None
-    """The surrogate's own answer, before any run of the MPM."""
-    found: float
-    """The median of the posterior."""
+    surrogate: float | None  # the surrogate's own answer, before any run of the MPM
+    found: float  # the median of the posterior
     low: float
-    high: float
-    """Its 2.5 % and 97.5 % quantiles."""
-    others: tuple[tuple[float, float, float], ...] = ()
-    """The same three of the other separate answers."""
+    high: float  # its 2.5 % and 97.5 % quantiles
+    others: tuple[tuple[float, float, float], ...] = ()  # the same three of the other separate answers
     inside: bool
     """Whether the true value is known and lies within the interval of the answer that holds most true values."""
 
@@ -110,8 +99,7 @@ class Outcome:
 
     problem: Problem
     criteria: Criteria
-    result: dict[str, Any]
-    """`result.json`."""
+    result: dict[str, Any]  # `result.json`
 
     @property
     def paper(self) -> Paper:
@@ -167,8 +155,7 @@ class Outcome:
         return [text for text, met in checks.items() if not met]
 
 
-Outcomes = Mapping[str, Outcome]
-"""Of one problem, by the way to them."""
+Outcomes = Mapping[str, Outcome]  # of one problem, by the way to them
 
 
 def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:

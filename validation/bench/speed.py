@@ -1,7 +1,6 @@
 """`python -m validation.bench speed`: rates, baffles, water, first runs, a gradient's price, networks, a terrain."""
 
 import os
-import statistics
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
@@ -30,8 +29,7 @@ from validation.bench.measuring import Found, Spread, isolated, once, recorded, 
 from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, write_page
 from validation.run_store import Run, kept
 
-CUBE = 0.375
-"""Edge of the body in 3D [m]."""
+CUBE = 0.375  # edge of the body in 3D [m]
 GRADIENT_MIB = 1024.0
 """Memory that a gradient may take: enough for the checkpoints of the largest scene priced."""
 STARTED = ("column-short-21", "flume-35", "baffles-2", "valley-3d")
@@ -48,8 +46,7 @@ NETWORK = {"nodes": ",", "forward [s]": ".4f", "with gradient [s]": ".4f", PER_N
 PRICE = {"particles": ",", "steps": ",", "run [s]": ".2f", "gradient [s]": ".2f", "runs per gradient": ".1f"}
 PRICE |= {"memory [MiB]": ".0f"}
 TERRAIN = {"particles": ",", "steps": ",", "before": ".1f", "seconds": ".1f", "maps": ".1f"}
-TERRAIN |= {"memory": ".0f", "disk": ".0f"}
-"""Forms of the columns."""
+TERRAIN |= {"memory": ".0f", "disk": ".0f"}  # forms of the columns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,11 +54,9 @@ class Workload:
     """A column on some grid, alone or with copies side by side."""
 
     dimension: int
-    cells: int
-    """Per metre."""
+    cells: int  # per metre
     scenes: int
-    frames: int
-    """That are timed, from the start of the flow."""
+    frames: int  # that are timed, from the start of the flow
 
     @property
     def particles(self) -> int:
@@ -84,10 +79,8 @@ CASES = (
     Workload(dimension=3, cells=64, scenes=1, frames=20),
     Workload(dimension=3, cells=106, scenes=1, frames=5),
 )
-Mode = tuple[Precision, int]
-"""Precision and threads; no threads: a GPU."""
-Rates = Mapping[tuple[Workload, Mode], Spread]
-"""Million particle-steps a second."""
+Mode = tuple[Precision, int]  # precision and threads; no threads: a GPU
+Rates = Mapping[tuple[Workload, Mode], Spread]  # million particle-steps a second
 
 
 def column(dimension: int, cells: int, frames: int) -> Scene:
@@ -160,9 +153,9 @@ def feature_row(name: str, feature: str, scene: Scene, without: Scene, rounds: i
 
     work = {"with [ns]": scene, "without [ns]": without}
     timed = turns({key: partial(nanoseconds, variant) for key, variant in work.items()}, rounds, name)
-    ratio = Spread([one / other for one, other in zip(*timed.values(), strict=True)])
+    ratio = Spread([one / other for one, other in zip(*(spread.values for spread in timed.values()), strict=True)])
     row = {"scene": f"`{name}`", "particles": f"{particle_count(scene):,}", "feature": feature}
-    return row | {key: f"{Spread(values):.1f}" for key, values in timed.items()} | {"ratio": f"{ratio:.3f}"}
+    return row | {key: f"{spread:.1f}" for key, spread in timed.items()} | {"ratio": f"{ratio:.3f}"}
 
 
 def started(scene: Scene, folder: str) -> float:
@@ -205,7 +198,7 @@ def price(scene: Scene, rounds: int) -> Found:
         "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
         "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1, memory_mib=GRADIENT_MIB)),
     }
-    run, adjoint = (statistics.median(seconds) for seconds in turns(work, rounds, "gradient").values())
+    run, adjoint = (seconds.median for seconds in turns(work, rounds, "gradient").values())
     return {
         "particles": particle_count(scene),
         "steps": simulate(scene, record=LAST, threads=1).summary["steps"],
@@ -288,16 +281,14 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     """
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
-    timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
-    rates = {key: Spread(values) for key, values in timed.items()}
+    rates = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
     features = [feature_row(name, *priced, 3 * rounds) for name, priced in featured().items()]
     whole = read_scene(PRICED)
     finer = [replace(whole.with_cell(whole.domain.cell / times), duration=duration) for times, duration in FINER]
     prices = [isolated(price, scene, rounds) for scene in finer]
     networks = network_rows(rounds=rounds)
     with kept(keep) as folder:
-        place = folder / f"terrain-{Run(scene=slide()).digest}"
-        make_folder(place)
+        make_folder(place := folder / f"terrain-{Run(scene=slide()).digest}")
         large = once(place / "terrain.json", terrain, place)
     return write_page(
         out,
@@ -321,15 +312,13 @@ def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found],
     greatest = max(prices, key=lambda row: float(row["memory [MiB]"]))
     ratios = between([row["runs per gradient"] for row in prices], ".1f")
     steps = between([row[PER_NODE] for row in networks], ".0f")
-    said = []
-    for dimension in (2, 3):
-        best = best_rates(rates, dimension)
-        said.append(
-            f"In {dimension}D the MPM computes {between(best.values(), '.0f')} million particle-steps per second, for"
-            f" {between(best, ',')} particles."
-        )
+    best = {dimension: best_rates(rates, dimension) for dimension in (2, 3)}
     return [
-        *said,
+        *(
+            f"In {dimension}D the MPM computes {between(by_size.values(), '.0f')} million particle-steps per second,"
+            f" for {between(by_size, ',')} particles."
+            for dimension, by_size in best.items()
+        ),
         f"A gradient by the adjoint takes as long as {ratios} runs, for any number of unknowns, and at most"
         f" {greatest['memory [MiB]']:.0f} MiB ({greatest['particles']:,} particles, {greatest['steps']:,} steps).",
         f"A step of the shipped networks with its gradient takes {steps} µs per node, on one thread.",
@@ -348,13 +337,12 @@ def best_rates(rates: Rates, dimension: int) -> dict[int, float]:
 
 
 def rate_rows(rates: Rates) -> list[Row]:
-    rows: list[Row] = []
-    used = sorted({mode for _, mode in rates})
-    for case in sorted({case for case, _ in rates}, key=astuple):
-        row = {"": f"{case.dimension}D", "particles": f"{case.particles:,}", "scenes": str(case.scenes)}
-        for precision, threads in used:
-            place = f"{threads} thread{'s' * (threads > 1)}" if threads else "GPU"
-            spread = rates.get((case, (precision, threads)))
-            row[f"{precision}, {place}"] = f"{spread:.1f}" if spread else "-"
-        rows.append(row)
-    return rows
+    places = {
+        mode: f"{mode[0]}, " + (f"{mode[1]} thread{'s' * (mode[1] > 1)}" if mode[1] else "GPU")
+        for mode in sorted({mode for _, mode in rates})
+    }
+    return [
+        {"": f"{case.dimension}D", "particles": f"{case.particles:,}", "scenes": str(case.scenes)}
+        | {head: f"{rates[case, mode]:.1f}" if (case, mode) in rates else "-" for mode, head in places.items()}
+        for case in sorted({case for case, _ in rates}, key=astuple)
+    ]

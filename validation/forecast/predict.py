@@ -40,12 +40,9 @@ from mpm import LAST, Recording
 from validation.loop.verdict import OTHER_CELLS
 from validation.run_store import RunStore, caveats
 
-FRAMES = 50
-"""Frames of a flow that are kept at most where its peaks are wanted."""
-CHECKS = 2
-"""Runs on the cells of the scene, and on others, by which that error is measured."""
-LEVELS = {"interval": 0.95, "half": 0.5}
-"""Keys of intervals in `forecast.json`, and their probabilities."""
+FRAMES = 50  # frames of a flow that are kept at most where its peaks are wanted
+CHECKS = 2  # runs on the cells of the scene, and on others, by which that error is measured
+LEVELS = {"interval": 0.95, "half": 0.5}  # keys of intervals in `forecast.json`, and their probabilities
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,24 +50,19 @@ class Forecast:
     """What the posterior of an answer predicts of a scene: S draws of U unknowns."""
 
     scene: Scene
-    names: tuple[str, ...]
-    """Of the unknowns that the scene has too."""
-    draws: Floats
-    """Their values in the units of their names, shape [S, U]."""
+    names: tuple[str, ...]  # of the unknowns that the scene has too
+    draws: Floats  # their values in the units of their names, shape [S, U]
     numbers: Mapping[str, Floats]
     """By the MPM: `front` and `mean_height` [m], `force NAME` on each solid [N, in 2D N/m]; shape [S] each."""
-    start: float = 0.0
-    """f_0 of the front [m]."""
+    start: float = 0.0  # f_0 of the front [m]
     stations: Floats
     """x of the profile [m], on the map where the box of the scene has an origin, shape [X]."""
     profiles: Floats
     """Height of the deposit at its initial density [m], in 3D its mean over the width, shape [S, X]."""
     cells: Mapping[str, float] = field(default_factory=dict)
     """d of each number, by its name; none where the box does not divide into other cells."""
-    model_error: float = 0.0
-    """r [-]."""
-    maps: PlanMaps | None = None
-    """In 3D those of the last draw: where the maps below lie."""
+    model_error: float = 0.0  # r [-]
+    maps: PlanMaps | None = None  # in 3D those of the last draw: where the maps below lie
     covered: Mapping[str, Floats] = field(default_factory=dict)
     """In 3D the probability of more than the threshold of `thickness`, `depth` or `pressure`, shape [X, Z] each."""
     remarks: tuple[str, ...] = ()

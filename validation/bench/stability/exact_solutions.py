@@ -34,12 +34,9 @@ def total_energy(flow: Trajectory) -> Floats:
 class FreeFlight:
     """x = v t + g t (t + dt) / 2: a throw, in steps of symplectic Euler ahead of the parabola by g t dt / 2."""
 
-    velocity: tuple[float, ...]
-    """Initial [m/s], shape [D]."""
-    gravity: tuple[float, ...]
-    """[m/s^2], shape [D]."""
-    step: float
-    """Time step [s]."""
+    velocity: tuple[float, ...]  # initial [m/s], shape [D]
+    gravity: tuple[float, ...]  # [m/s^2], shape [D]
+    step: float  # time step [s]
 
     @staticmethod
     def of_flow(flow: Trajectory) -> "FreeFlight":
@@ -58,8 +55,7 @@ class FreeFlight:
 class SlidingBlock:
     """A rigid block on an incline with Coulomb friction, let go at rest: a = g max(0, sin theta - mu cos theta)."""
 
-    acceleration: float
-    """Down the incline [m/s^2]."""
+    acceleration: float  # down the incline [m/s^2]
 
     @staticmethod
     def of_scene(scene: Scene) -> "SlidingBlock":
@@ -87,12 +83,9 @@ class SlidingBlock:
 class StandingWave:
     """The lowest mode of an elastic body: velocity and displacement of one shape that swing at omega without decay."""
 
-    axis: int
-    """Along which it moves."""
-    omega: float
-    """Angular frequency [1/s]."""
-    shape: Floats
-    """Of the particles at the start [-], shape [N]."""
+    axis: int  # along which it moves
+    omega: float  # angular frequency [1/s]
+    shape: Floats  # of the particles at the start [-], shape [N]
 
     @staticmethod
     def of_bar(flow: Trajectory) -> "StandingWave":
