@@ -114,12 +114,16 @@ def bench(
     if model is None and any(FAMILIES[name].adapted for name in only):
         raise InputError("expected the folder of an adaptation", key="--model")
     with kept(keep) as folder:
-        asked = {
-            (folder / name / f"{number:03d}.json").absolute(): (FAMILIES[name], number, model)
+        missing = [
+            (path.absolute(), FAMILIES[name], number, model)
             for name in only
             for number in range(twins or FAMILIES[name].twins)
-        }
-        solve_missing(asked, jobs)
+            if not (path := folder / name / f"{number:03d}.json").exists()
+        ]
+        os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+        with pool(min(jobs or processors(), len(missing) or 1)) as workers:
+            solved = workers.finished(store_twin, missing)
+            list(tqdm(solved, total=len(missing), unit="twin", leave=False, disable=None))
         stored = {family: sorted((folder / name).glob("[0-9]*.json")) for name, family in FAMILIES.items()}
         groups = {
             family: [from_mapping(Twin, read_json(path) or {}) for path in paths]
@@ -128,14 +132,6 @@ def bench(
         }
     draw(out / "coverage.png", groups)
     return written(out, groups)
-
-
-def solve_missing(asked: Mapping[Path, tuple[Family, int, Path | None]], jobs: int | None) -> None:
-    """Solve the twins whose files are not there yet, side by side, each on one thread; `asked` as `store_twin`."""
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    missing = [(path, *twin) for path, twin in asked.items() if not path.exists()]
-    with pool(min(jobs or processors(), len(missing) or 1)) as workers:
-        list(tqdm(workers.finished(store_twin, missing), total=len(missing), unit="twin", leave=False, disable=None))
 
 
 def store_twin(path: Path, family: Family, number: int, model: Path | None) -> None:

@@ -120,7 +120,13 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
         level=LEVEL,
         jitters=JITTERS,
         kinds=tables(kind_rows(errors) for errors in measured),
-        prices=tables(price_rows(errors) for errors in measured),
+        prices=tables(
+            [
+                {errors.family: name, "seconds": f"{s:.3g}", "error": f"{e:.1%}"}
+                for name, (s, e) in errors.points.items()
+            ]
+            for errors in measured
+        ),
         bands=bands,
         mounds=[
             {"mound": f"{friction:g}° on {slope:g}°"} | {name: f"{speed:+.2g}" for name, speed in by.items()}
@@ -218,11 +224,6 @@ def kind_rows(model: ModelErrors) -> list[Row]:
         counts = f"{len(group)}, {sum(case.free for case in group)}"
         rows.append({f"`{model.name}` on {model.family}": title, "scenes, free": counts} | summary(errors))
     return rows
-
-
-def price_rows(model: ModelErrors) -> list[Row]:
-    points = model.points.items()
-    return [{model.family: name, "seconds": f"{s:.3g}", "error": f"{error:.1%}"} for name, (s, error) in points]
 
 
 def draw(path: Path, measured: Sequence[ModelErrors]) -> None:

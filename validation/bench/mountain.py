@@ -22,7 +22,7 @@ from datasets.scene.library import read_scene
 from inverse.answer import peak_memory_mib
 from mpm import Recording, simulate
 from validation.bench.measuring import Found, once, recorded
-from validation.bench.page import Keep, Out, Row, between, tables, write_page
+from validation.bench.page import Keep, Out, Row, between, formatted, tables, write_page
 from validation.run_store import kept
 
 PARAMETERS = "simulationParameterValues_{}.csv"
@@ -51,6 +51,11 @@ class Slide:
 SLIDING, STEEP = 0.35, 35.0  # friction of the bed of avaSlide, and angle of internal friction there [deg]
 RAISED = ((5.0, 0.0), (2.5, 0.0), (5.0, 1234.56))
 """Cells [m] on which avaSlide runs, and by what its ground is raised [m]."""
+LINES = {"cell [m]": "g", "ground raised by [m]": "g", "particles": ",", "slope of the energy line": ".4f"}
+LINES |= {"of a point": ".4f", "off by": "+.1%"}
+COSTS = {"case": "", "cell [m]": "g", "particles": ",", "steps": ",", "before the first step [s]": ".1f"}
+COSTS |= {"compilation [s]": ".1f", "run [s]": ".0f", "million particle-steps/s": ".1f", "maps [s]": ".0f"}
+COSTS |= {"memory [MiB]": ".0f"}  # forms of the columns
 OTHERS = ("com1DFA", "samosat", "RAMMSUSER", "TITAN2D", "TRENT2D")
 CASES = {
     "CoulombOnly": Slide(
@@ -190,7 +195,7 @@ def bench(
     require(set(case) <= set(CASES), "--case", f"some of {', '.join(CASES)}", list(case))
     single = (data / PARAMETERS.format(data.name)).exists()
     folders = {data.name: data} if single else {name: data / name for name in case}
-    beside, costs, conclusion, lines, off, all_found = [], [], [], [], [], list[Found]()
+    beside, conclusion, costs, lines = list[str](), list[str](), list[Found](), list[Found]()
     with kept(keep) as folder:
         for name, place in folders.items():
             others, by_cell = dict[str, Found](), dict[float, Found]()
@@ -204,25 +209,25 @@ def bench(
             codes = {f"**Talus, {cell:g} m**": result for cell, result in by_cell.items()} | others
             rows = [row(CASES[name], code, result) for code, result in codes.items()]
             beside.append(f"### {name}\n\n{tables([rows])}")
-            costs += [cost(name, *item) for item in by_cell.items()]
+            for cell, took in by_cell.items():
+                particles, steps, seconds = took["particles"], took["steps"], took["seconds"]
+                rate = particles * steps / seconds / 1e6
+                parts = took["before"], took["compile"], seconds, rate, took["maps"], took["memory"]
+                costs.append(dict(zip(COSTS, (name, cell, particles, steps, *parts), strict=True)))
             conclusion.append(compared(name, by_cell[min(by_cell)], others))
-            all_found += by_cell.values()
         if slide is not None:
             make_folder(place := folder / "avaSlide")
             for cell, raised in RAISED:
                 result = once(place / f"{cell:g}-{raised:g}.json", energy_line, slide, cell, raised, place)
-                lines.append(beside_point(cell, raised, result))
-                off.append(abs(result["slope"] / result["point"] - 1.0))
-            conclusion.append(
-                f"avaSlide: the slope of the energy line is within {max(off):.1%} of that of a sliding point."
-            )
-    seconds, memory = (max(result[key] for result in all_found) for key in ("seconds", "memory"))
+                slopes = result["slope"], result["point"], result["slope"] / result["point"] - 1.0
+                lines.append(dict(zip(LINES, (cell, raised, result["particles"], *slopes), strict=True)))
+            off = max(abs(line["off by"]) for line in lines)
+            conclusion.append(f"avaSlide: the slope of the energy line is within {off:.1%} of that of a sliding point.")
+    seconds, memory = (max(row[key] for row in costs) for key in ("run [s]", "memory [MiB]"))
     conclusion.append(f"The longest run takes {seconds:.0f} s; no run needs more than {memory:.0f} MiB.")
-    flags = " --data DIR" + "".join(f" --cells {cell:g}" for cell in cells)
-    flags += " --slide DIR" if slide is not None else ""
-    return write_page(
-        out, "mountain", conclusion, flags=flags, codes="\n\n".join(beside), costs=costs, lines=lines or "Not run."
-    )
+    flags = " --data DIR" + "".join(f" --cells {cell:g}" for cell in cells) + " --slide DIR" * (slide is not None)
+    tabled = {"costs": formatted(costs, COSTS), "lines": formatted(lines, LINES) or "Not run."}
+    return write_page(out, "mountain", conclusion, flags=flags, codes="\n\n".join(beside), **tabled)
 
 
 def compared(name: str, finest: Found, others: Mapping[str, Found]) -> str:
@@ -236,34 +241,6 @@ def compared(name: str, finest: Found, others: Mapping[str, Found]) -> str:
         f" {apart.mean():.0%} on average, and {finest['overlap']:.0%} of the area that either covers is common with"
         f" {NEAREST}."
     )
-
-
-def cost(case: str, cell: float, took: Found) -> Row:
-    """What a run takes on cells of this edge [m]."""
-    return {
-        "case": case,
-        "cell [m]": f"{cell:g}",
-        "particles": f"{took['particles']:,}",
-        "steps": f"{took['steps']:,}",
-        "before the first step [s]": f"{took['before']:.1f}",
-        "compilation [s]": f"{took['compile']:.1f}",
-        "run [s]": f"{took['seconds']:.0f}",
-        "million particle-steps/s": f"{took['particles'] * took['steps'] / took['seconds'] / 1e6:.1f}",
-        "maps [s]": f"{took['maps']:.0f}",
-        "memory [MiB]": f"{took['memory']:.0f}",
-    }
-
-
-def beside_point(cell: float, raised: float, result: Found) -> Row:
-    """A run of avaSlide beside the point."""
-    return {
-        "cell [m]": f"{cell:g}",
-        "ground raised by [m]": f"{raised:g}",
-        "particles": f"{result['particles']:,}",
-        "slope of the energy line": f"{result['slope']:.4f}",
-        "of a point": f"{result['point']:.4f}",
-        "off by": f"{result['slope'] / result['point'] - 1.0:+.1%}",
-    }
 
 
 def row(case: Slide, name: str, result: Found) -> Row:

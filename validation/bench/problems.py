@@ -192,13 +192,9 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
     every = [ways for problems in by_family.values() for ways in problems]
     write_numbers(out / "problems.csv", [outcome for ways in every for outcome in ways.values()])
     draw(out / "pictures" / "problems.png", every)
-    said = write_page(
-        out,
-        "problems",
-        conclusion(every),
-        families="\n\n".join(section(*item) for item in by_family.items()),
-        pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
-    )
+    families = "\n\n".join(section(*item) for item in by_family.items())
+    shown = "\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures)
+    said = write_page(out, "problems", conclusion(every), families=families, pictures=shown)
     if failed:
         raise WorkFailed(f"could not be run: {', '.join(failed)}")
     return said
@@ -258,7 +254,8 @@ def conclusion(solved: Sequence[Outcomes]) -> list[str]:
         said.append(f"The 95 % intervals contain {sum(inside)} of {len(inside)} true values.")
     sizes: dict[str, list[float]] = {way: [] for way in (*COLOURS, "paper")}
     for outcome in outcomes:
-        for number in outcome.numbers if outcome.problem.names == ["friction_deg"] and outcome.paper.values else ():
+        if outcome.problem.names == ["friction_deg"] and outcome.paper.values:
+            (number,) = outcome.numbers
             sizes[outcome.way].append(abs(number.off(number.found)))
             sizes["paper"].append(abs(number.off(number.paper)))
     if errors := ", ".join(f"{between(values, '.1f')}° ({way})" for way, values in sizes.items() if values):

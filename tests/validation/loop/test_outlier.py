@@ -28,8 +28,7 @@ from validation.loop.task import Task
 
 TIMES = np.array([0.06, 0.12, 0.18, 0.24, 0.30, 0.40, 0.60, 1.00])
 NOISE, FRICTION, SPEED = 0.005, 0.4, 1.5
-DOF = 4.0
-"""Of Student's noise."""
+DOF = 4.0  # of Student's noise
 NAMES = ("masses[0].velocity_x", "floor_friction")
 BOUNDS = {NAMES[0]: (0.5, 2.2), NAMES[1]: (0.2, 0.7)}
 

@@ -130,19 +130,6 @@ def settlement(scene: Scene) -> float:
     return total
 
 
-def liquid_thrust(scene: Scene) -> float:
-    """Thrust of a liquid of the first mass's density and height, rho g H^2 / 2 [N per metre of width]."""
-    mass = scene.masses[0]
-    return 0.5 * scene.material_of(mass).density * scene.gravity * mass.size[1] ** 2
-
-
-def landing_time(scene: Scene) -> float:
-    """When a mass that is thrown up at v from the height h comes down, (v + sqrt(v^2 + 2 g h)) / g [s]."""
-    mass = scene.masses[0]
-    up = mass.velocity[1] if mass.velocity else 0.0
-    return (up + math.sqrt(up**2 + 2.0 * scene.gravity * mass.lower[1])) / scene.gravity
-
-
 def repose_front(scene: Scene) -> float:
     """Front [m] of a pile at the angle of friction, of the area of a column L x H at the wall.
 
