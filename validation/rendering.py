@@ -41,8 +41,7 @@ def require_recorded(trajectory: Trajectory, colour: Colour) -> None:
 
 
 def write_picture(path: Path, trajectory: Trajectory, colour: Colour, frame: int) -> None:
-    """Draw `frame` into a PNG. Raises InputError for a colour that was not recorded, WorkFailed without OpenGL."""
-    require_recorded(trajectory, colour)
+    """Draw `frame` into a PNG, coloured by what `require_recorded` admits. Raises WorkFailed without OpenGL."""
     plotter = drawn(trajectory, colour, frame)
     try:
         with replacing(path) as part:

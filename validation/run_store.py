@@ -41,8 +41,7 @@ class Run:
 
     scene: Scene
     precision: Precision = "f32"
-    record: Recording = LAST
-    """What is recorded: the last frame, a hundredth of the file, unless more is asked for."""
+    record: Recording = LAST  # what is recorded: the last frame, a hundredth of the file, unless more is asked for
 
     @property
     def digest(self) -> str:

@@ -8,8 +8,7 @@ from datasets.command_line import run
 from datasets.errors import InputError, naming
 from datasets.files import read_json, reading
 
-FIELDS = ("velocities", "pressure", "plastic_strain", "pore_pressure")
-"""Recorded ones that the page can show."""
+FIELDS = ("velocities", "pressure", "plastic_strain", "pore_pressure")  # recorded ones that the page can show
 TARGETS = "mpm/target-*.npz"  # where `validation.loop` leaves the flow of a twin experiment
 
 

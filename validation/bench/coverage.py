@@ -43,8 +43,7 @@ REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}
 """Shares of truths that a region is to hold: of 40 twins chance leaves each range once in a hundred."""
 BINS = 8  # of the ranks, in the test of their uniformity
-SIGNIFICANT = 0.01
-"""p-value below which ranks are not uniform: of so many tests one in twenty would be below 0.05."""
+SIGNIFICANT = 0.01  # p-value below which ranks are not uniform: of so many tests one in twenty would be below 0.05
 FIRST_SEED = 100_000  # jitter seed of the first twin's target, then upwards; its inversion has others
 
 
@@ -131,7 +130,10 @@ def bench(
             if paths
         }
     draw(out / "coverage.png", groups)
-    return written(out, groups)
+    flags = "".join(f" --only {name}" for name, family in FAMILIES.items() if family in groups)
+    flags += " --model RUN" * any(family.adapted for family in groups)
+    rows = [row(family, solved) for family, solved in groups.items()]
+    return write_page(out, "coverage", conclusion(groups), flags=flags, bins=BINS, twins=rows)
 
 
 def store_twin(path: Path, family: Family, number: int, model: Path | None) -> None:
@@ -216,8 +218,7 @@ def drawn(family: Family, number: int) -> Problem:
     return replace(asked, scene=scene, observations=observations, target=target, surrogate=family.surrogate)
 
 
-def written(out: Path, groups: Mapping[Family, Sequence[Twin]]) -> str:
-    """Write the page of all twins that were solved, by their families, and return its conclusion."""
+def conclusion(groups: Mapping[Family, Sequence[Twin]]) -> list[str]:
     every = [twin for twins in groups.values() for twin in twins]
     said = [f"{len(every)} inversions with known parameters, of {len(groups)} kinds, test the stated uncertainty."]
     for level, (low, high) in WITHIN.items():
@@ -227,11 +228,10 @@ def written(out: Path, groups: Mapping[Family, Sequence[Twin]]) -> str:
             f" {good} of {len(groups)} kinds lie within {low:.0%} to {high:.0%}, as chance allows."
         )
     uneven = "; ".join(family.title for family, twins in groups.items() if uniformity(twins) < SIGNIFICANT) or "none"
-    said.append(f"Kinds whose truths are unevenly distributed over the posterior (p below {SIGNIFICANT:g}): {uneven}.")
-    flags = "".join(f" --only {name}" for name, family in FAMILIES.items() if family in groups)
-    flags += " --model RUN" * any(family.adapted for family in groups)
-    rows = [row(family, twins) for family, twins in groups.items()]
-    return write_page(out, "coverage", said, flags=flags, bins=BINS, twins=rows)
+    uneven_kinds = (
+        f"Kinds whose truths are unevenly distributed over the posterior (p below {SIGNIFICANT:g}): {uneven}."
+    )
+    return [*said, uneven_kinds]
 
 
 def held(twins: Sequence[Twin], level: float) -> float:

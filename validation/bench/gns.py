@@ -21,8 +21,8 @@ from datasets.errors import InputError
 from datasets.flow import measures
 from datasets.flow.measures import AFTER, Errors, summary
 from datasets.flow.trajectory import Trajectory
-from datasets.scene import Domain, Mass, Scene
-from datasets.scene.material import Material
+from datasets.scene import Domain, Scene
+from datasets.scene.library import read_scene
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
@@ -38,7 +38,6 @@ CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
 """Of the coarse MPM, across the smallest side of the body, by dimension."""
 LEVEL = 0.95  # of the bands
 AGAIN = "the MPM, jittered anew"
-CREST = ((0.3, 0.0), (1.1, 0.0), (0.7, 0.2))  # corners of a mound [m]
 MOUNDS = ((45.0, 12.0), (42.0, 8.0), (35.0, 0.0))
 """Angles of friction and of the floor [deg] under which it stays where it is."""
 JITTERS = 3  # of a mound
@@ -53,8 +52,7 @@ class Compared:
     free: bool  # whether no wall holds the reference's front
     by: Mapping[str, Errors]
     """By method: the model's name, the MPM on coarse cells, a run like the reference jittered anew."""
-    seconds: Mapping[str, float]
-    """By method: on one thread, without compilation and without loading a model."""
+    seconds: Mapping[str, float]  # by method: on one thread, without compilation and without loading a model
     band: tuple[float, float] | None
     """Error of the predicted front and half-width of its band [m]; of free fronts at larger x, of models with bands."""
 
@@ -179,7 +177,6 @@ def at_rest(models: Sequence[Path]) -> Mounds:
 
 
 def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
-    """See `Compared.band`."""
     try:
         prediction = gns.predict(scene, model=path, level=LEVEL)
     except InputError:
@@ -272,17 +269,9 @@ def coarse(scene: Scene, cells: int) -> Scene:
 
 
 def mound(friction_deg: float, slope_deg: float, seed: int) -> Scene:
-    """A mound of the corners `CREST`, stable where it is less steep than its angle of friction."""
-    return Scene(
-        domain=Domain(size=(2.0, 0.4), cell=0.01),
-        material=Material(friction_deg=friction_deg),
-        masses=(Mass(kind="polygon", vertices=CREST),),
-        duration=1.5,
-        frame_dt=0.02,
-        floor_friction=0.9,
-        slope_deg=slope_deg,
-        seed=seed,
-    )
+    """The mound of `mound.toml`, stable where it is less steep than its angle of friction."""
+    scene = read_scene(Path(__file__).with_name("mound.toml")).with_friction_deg(friction_deg)
+    return replace(scene, slope_deg=slope_deg, seed=seed)
 
 
 def creep(flow: Trajectory) -> float:

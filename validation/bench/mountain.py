@@ -14,11 +14,12 @@ import numpy as np
 from datasets import site
 from datasets.errors import InputError, WorkFailed, require
 from datasets.exchange.rasters import Raster, read_raster, write_raster
-from datasets.files import make_folder, reading
+from datasets.files import make_folder, read_toml, reading
 from datasets.flow.trajectory import open_trajectory
 from datasets.maps import PlanMaps, maps_of
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import read_scene
+from datasets.schema import Record, from_mapping
 from inverse.answer import peak_memory_mib
 from mpm import Recording, simulate
 from validation.bench.measuring import Found, once, recorded
@@ -27,23 +28,21 @@ from validation.run_store import kept
 
 PARAMETERS = "simulationParameterValues_{}.csv"
 MOVES = 1.0  # peak speed [m/s] from which a cell counts as reached
-COVERED = 0.1
-"""Thickness [m] from which the speed of a cell counts: a particle alone in a cell of 5 m is less."""
+COVERED = 0.1  # thickness [m] from which the speed of a cell counts: a particle alone in a cell of 5 m is less
 EVERY = 2  # frames from one that is kept for the maps to the next
 NEAREST = "com1DFA"  # the code that cell by cell is compared with
 ALIKE = ("com1DFA", "MPM")  # codes of particles, which the speeds are compared with where they are there
 
 
-@dataclass(frozen=True)
-class Slide:
+@dataclass(frozen=True, kw_only=True)
+class Slide(Record):
     """A case of the comparison."""
 
     codes: tuple[str, ...]  # whose peaks are in the data
     axis: int  # along which it runs: 0 by easting, 1 by northing
     onward: int  # 1 where coordinates grow along the flow, else -1
     sections: tuple[float, ...]  # coordinates of the cross-sections [m]
-    cells: tuple[float, ...] = (4.0, 2.0)
-    """Edges of the grid's cells [m] that are affordable, coarse ones first."""
+    cells: tuple[float, ...]  # edges of the grid's cells [m] that are affordable, coarse ones first
     internal_friction: float = 45.0
     """[deg]. Voellmy's law is that of a layer that does not shear inside: it has to be steeper than the slope."""
 
@@ -56,18 +55,7 @@ LINES |= {"of a point": ".4f", "off by": "+.1%"}
 COSTS = {"case": "", "cell [m]": "g", "particles": ",", "steps": ",", "before the first step [s]": ".1f"}
 COSTS |= {"compilation [s]": ".1f", "run [s]": ".0f", "million particle-steps/s": ".1f", "maps [s]": ".0f"}
 COSTS |= {"memory [MiB]": ".0f"}  # forms of the columns
-OTHERS = ("com1DFA", "samosat", "RAMMSUSER", "TITAN2D", "TRENT2D")
-CASES = {
-    "CoulombOnly": Slide(
-        ("com1DFA", "samosat", "MPM", "RAMMSUSER", "TITAN2D", "TRENT2D"), 0, 1,
-        (1500.0, 2000.0, 2500.0, 3000.0, 3250.0, 3500.0, 3750.0, 4000.0), (4.0, 2.0, 1.0), internal_friction=30.0,
-    ),
-    "IdealizedTopo": Slide(OTHERS, 0, 1, (1500.0, 1750.0, 2000.0, 2250.0, 2500.0, 2750.0, 3000.0, 3200.0)),
-    "RealTopo": Slide(
-        ("com1DFA", "samosat", "RAMMSUSER", "TRENT2D"), 1, -1,
-        (364000.0, 363750.0, 363500.0, 363250.0, 363000.0, 362750.0, 362600.0, 362450.0), (4.0,),
-    ),
-}  # fmt: skip
+CASES = {name: from_mapping(Slide, table) for name, table in read_toml(Path(__file__).with_suffix(".toml")).items()}
 
 
 def written_scene(data: Path, cell: float, folder: Path) -> Path:

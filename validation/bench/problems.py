@@ -21,8 +21,7 @@ from validation.bench.page import Keep, Out, Row, between, emphasised, tables, w
 from validation.plots import BLUE, GREY, INK, ORANGE, RED, figure
 from validation.run_store import kept
 
-RESULT, KEY = "result.json", "made-of.txt"
-"""Of a problem: what the loop wrote, and a digest of what it was made of."""
+RESULT, KEY = "result.json", "made-of.txt"  # of a problem: what the loop wrote, and a digest of what it was made of
 ENDED = (0, 1)  # confirmed, and not
 LISTED = 4  # of more numbers than these the page has one row
 ALONE, LED, COARSE = "MPM alone", "surrogate leads", "larger cells lead"  # the ways to an answer
@@ -35,8 +34,7 @@ class Criteria(Record):
 
     verdict: Verdict = Verdict.CONFIRMED
     front_error_pct: float = math.inf  # largest relative error of the front in the MPM
-    unknown_error_pct: float = math.inf
-    """Largest relative error of a number, where its half-width is no wider."""
+    unknown_error_pct: float = math.inf  # largest relative error of a number, where its half-width is no wider
     loss: float = math.inf  # largest loss in the MPM [m^2]
     inside: bool = False  # whether every true value is to be within its interval
 
@@ -60,16 +58,10 @@ class Section(Record):
     """Each problem is solved once more with each of these in place of what it asks for."""
     criteria: Criteria
 
-    def inversions(self, name: str) -> list[tuple[Problem, str]]:
-        """The problem of this name in each way in which it is solved, and the names of the folders."""
-        problem = read_problem(name)
-        return [(problem, name), *((replace(problem, surrogate=way), f"{name}-{way}") for way in self.again)]
-
 
 SHIPPED = read_toml(Path(__file__).with_suffix(".toml"))
 FAMILIES = [from_mapping(Section, each) for each in SHIPPED["families"]]  # in the order of the page
-PAPER = {name: from_mapping(Paper, each) for name, each in SHIPPED["paper"].items()}
-"""Its figures, by problem."""
+PAPER = {name: from_mapping(Paper, each) for name, each in SHIPPED["paper"].items()}  # its figures, by problem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,11 +167,15 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
     with kept(keep) as folder:
         for family in FAMILIES:
             for name in family.problems:
-                ways: dict[str, Outcome] = {}
-                for problem, place in family.inversions(name):
-                    if name in (only or names) and not solved(problem, folder / place):
-                        failed.append(place)
-                    if is_current(problem, folder / place) and (result := read_json(folder / place / RESULT)):
+                ways, asked = dict[str, Outcome](), read_problem(name)
+                again = ((replace(asked, surrogate=way), f"{name}-{way}") for way in family.again)
+                for problem, place in ((asked, name), *again):
+                    result = current_result(problem, folder / place)
+                    if result is None and name in (only or names):
+                        solve(problem, folder / place)
+                        if (result := current_result(problem, folder / place)) is None:
+                            failed.append(place)
+                    if result is not None:
                         outcome = Outcome(problem=problem, criteria=family.criteria, result=result)
                         ways.setdefault(outcome.way, outcome)
                 if ways:
@@ -209,26 +205,22 @@ def made_of(problem: Problem) -> str:
     return hashlib.sha256(text.encode() + weights).hexdigest()[:16]
 
 
-def is_current(problem: Problem, folder: Path) -> bool:
-    """Whether `folder` has a result of the problem as it is now."""
+def current_result(problem: Problem, folder: Path) -> dict[str, Any] | None:
+    """The result in `folder` of the problem as it is now."""
     key = folder / KEY
-    return key.exists() and (folder / RESULT).exists() and key.read_text() == made_of(problem)
+    return read_json(folder / RESULT) if key.exists() and key.read_text() == made_of(problem) else None
 
 
-def solved(problem: Problem, folder: Path) -> bool:
-    """Whether `folder` has a current result, by the loop in a process of its own where it had none."""
-    if is_current(problem, folder):
-        return True
+def solve(problem: Problem, folder: Path) -> None:
+    """Solve a problem by the loop in a process of its own; nothing current is in `folder` where that fails."""
     if (folder / KEY).exists():
         # Made of another problem or other weights: runs that it kept would cost this one no seconds.
         shutil.rmtree(folder)
     # An older result is not this one's, should this one fail.
     (folder / RESULT).unlink(missing_ok=True)
     arguments = ["-m", "validation.loop", problem.name, "--out", str(folder), "--surrogate", problem.surrogate]
-    if subprocess.run([sys.executable, *arguments], check=False).returncode not in ENDED:
-        return False
-    write_text(folder / KEY, made_of(problem))
-    return True
+    if subprocess.run([sys.executable, *arguments], check=False).returncode in ENDED:
+        write_text(folder / KEY, made_of(problem))
 
 
 def section(title: str, problems: Sequence[Outcomes]) -> str:

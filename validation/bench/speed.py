@@ -1,4 +1,7 @@
-"""`python -m validation.bench speed`: rates, baffles, water, first runs, a gradient's price, networks, a terrain."""
+"""`python -m validation.bench speed`: rates, baffles, water, first runs, a gradient's price, networks, a terrain.
+
+And `gpu`: rates of the MPM and a step of the network on a GPU, beside the processor.
+"""
 
 import os
 import time
@@ -12,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import maps
-from datasets.files import make_folder
+from datasets.errors import InputError
+from datasets.files import make_folder, read_toml
 from datasets.flow.trajectory import open_trajectory
 from datasets.geometry.placement import remembers_gaps
 from datasets.processes import processors
@@ -30,15 +34,13 @@ from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, wr
 from validation.run_store import Run, kept
 
 CUBE = 0.375  # edge of the body in 3D [m]
-GRADIENT_MIB = 1024.0
-"""Memory that a gradient may take: enough for the checkpoints of the largest scene priced."""
+GRADIENT_MIB = 1024.0  # memory that a gradient may take: enough for the checkpoints of the largest scene priced
 STARTED = ("column-short-21", "flume-35", "baffles-2", "valley-3d")
 """Shipped scenes of several kinds of kernels: nothing but the box, terrain, baffles; two dimensions, then three."""
 PRICED = "column-tall-42"
 FINER = ((1, 0.5), (2, 0.25), (2, 0.5), (4, 0.0625))
 """How many times finer than the shipped column's the cells are, and duration [s], of runs whose gradient is priced."""
-CELL, EVERY = 0.375, 5
-"""Of the large terrain: cells [m], frames from one that is kept for the maps to the next."""
+CELL, EVERY = 0.375, 5  # of the large terrain: cells [m], frames from one that is kept for the maps to the next
 BODIES = {2: (0.01, (0.4,), (0.2, 1.5, 15.0)), 3: (0.03, (0.3, 0.3), (0.3, 1.2, 4.8))}
 """By dimension: cells, height (in 3D and width) and lengths of the bodies of which a network makes a step [m]."""
 PER_NODE = "µs per node"
@@ -49,9 +51,9 @@ TERRAIN = {"particles": ",", "steps": ",", "before": ".1f", "seconds": ".1f", "m
 TERRAIN |= {"memory": ".0f", "disk": ".0f"}  # forms of the columns
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Workload:
-    """A column on some grid, alone or with copies side by side."""
+    """A row of `speed.toml`: a column on some grid, alone or with copies side by side."""
 
     dimension: int
     cells: int  # per metre
@@ -68,17 +70,7 @@ class Workload:
         return f"{self.scenes} x {self.particles:,} particles in {self.dimension}D"
 
 
-CASES = (
-    Workload(dimension=2, cells=100, scenes=1, frames=400),
-    Workload(dimension=2, cells=100, scenes=8, frames=200),
-    Workload(dimension=2, cells=280, scenes=1, frames=20),
-    Workload(dimension=2, cells=560, scenes=1, frames=4),
-    Workload(dimension=2, cells=1770, scenes=1, frames=1),
-    Workload(dimension=3, cells=32, scenes=1, frames=100),
-    Workload(dimension=3, cells=32, scenes=8, frames=50),
-    Workload(dimension=3, cells=64, scenes=1, frames=20),
-    Workload(dimension=3, cells=106, scenes=1, frames=5),
-)
+CASES, ON_GPU = ([Workload(*row) for row in rows] for rows in read_toml(Path(__file__).with_suffix(".toml")).values())
 Mode = tuple[Precision, int]  # precision and threads; no threads: a GPU
 Rates = Mapping[tuple[Workload, Mode], Spread]  # million particle-steps a second
 
@@ -306,6 +298,38 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
         every=EVERY,
         terrain=formatted([{key: large[key] for key in TERRAIN}], TERRAIN),
     )
+
+
+def gpu(*, out: Out, rounds: Rounds = 2) -> str:
+    """Measure rates over sizes and steps of the networks on a GPU, in turn with all processors of the same machine.
+
+    Raises InputError where there is no GPU.
+    """
+    # Here, because processes that only price a gradient do without PyTorch.
+    from torch import cuda
+
+    if not cuda.is_available():
+        raise InputError("expected a GPU that torch can use, there is none", where="bench gpu")
+    threads = processors()
+    modes: list[Mode] = [("f32", threads), ("f32", 0), ("f64", 0)]
+    rates = turns({(case, mode): partial(rate, case, mode) for mode in modes for case in ON_GPU}, rounds, "rates")
+    beside = [network_rows(rounds=rounds, device=device) for device in ("cpu", "cuda")]
+    gains = {case: rates[case, ("f32", 0)].median / rates[case, ("f32", threads)].median for case in ON_GPU}
+    least, most = sorted(gains, key=gains.__getitem__)[:: len(ON_GPU) - 1]
+    best = {size: max(rates[case, ("f32", 0)].median for case in ON_GPU if case.dimension == size) for size in (2, 3)}
+    on_cpu, on_gpu = ([row[PER_NODE] for row in rows] for rows in beside)
+    said = [
+        f"One {cuda.get_device_name()} computes up to {best[2]:.0f} million particle-steps per second in 2D and"
+        f" {best[3]:.0f} million in 3D.",
+        f"Beside {threads} threads of the same machine it is {gains[least]:.1f} times as fast for {least.text} and"
+        f" {gains[most]:.1f} times for {most.text}.",
+        f"A step of the networks with its gradient takes {between(on_gpu, '.0f')} µs per node on the GPU, and"
+        f" {between(on_cpu, '.0f')} µs on one thread.",
+    ]
+    networks = [row | {f"GPU, {key}": other[key] for key in list(row)[3:]} for row, other in zip(*beside, strict=True)]
+    forms = NETWORK | {f"GPU, {key}": form for key, form in NETWORK.items()}
+    flags, table = f" --rounds {rounds}", rate_rows(rates)
+    return write_page(out, "gpu", said, flags=flags, rates=table, networks=formatted(networks, forms))
 
 
 def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found], large: Found) -> list[str]:

@@ -27,8 +27,7 @@ FOLDER = Path(__file__).parent
 Floats = NDArray[np.float64]
 
 STATION = 2.0  # distance of a profile's stations in cells
-SURFACE_QUANTILE = 0.99
-"""Of the particles' heights in a strip: the surface without the fate of single particles."""
+SURFACE_QUANTILE = 0.99  # of the particles' heights in a strip: the surface without the fate of single particles
 REPOSE = "repose"  # name of the angle at which a flow stops: mu_s of mu(I)
 
 
@@ -108,8 +107,7 @@ class Measured(Record):
     spread_from: str = ""  # where the spread comes from
     status: Literal["read", "worked out"]
     source: str
-    explanation: str = ""
-    """Why the computation may differ: printed where it does, by more than twice the spread."""
+    explanation: str = ""  # why the computation may differ: printed where it does, by more than twice the spread
     thicker_than: float | None = None  # thickness [m] by which the measurement defines a front
     beside_walls: float | None = None
     """In 3D, width [m] of the strips along both side walls over which a front by thickness is measured, as by a camera
@@ -189,8 +187,7 @@ class Experiment(Record):
     licence: str
     angles: tuple[Angle, ...] = ()
     """The material's own; the first is the one to compute with. None: an angle is inferred, nothing is predicted."""
-    grains: Grains | None = None
-    """How their friction grows with the rate; nothing is known of it where absent."""
+    grains: Grains | None = None  # how their friction grows with the rate; nothing is known of it where absent
     cells: tuple[float, float]  # grid cells, the coarse and the fine one [m]
     cases: tuple[Case, ...] = ()
     predictions: tuple[Prediction, ...] = ()
@@ -200,7 +197,6 @@ class Experiment(Record):
 
     @property
     def name(self) -> str:
-        """Of its folder."""
         return self.folder.name
 
     @property

@@ -64,7 +64,12 @@ def solve_series(
             solve(deposit, folder, model=model, simulate=simulate, known=runs)
         result = json.loads((folder / RESULT).read_text())
         rows.append(row(name, result))
-        runs += runs_of(folder, result)
+        # On the cells of the problem.
+        runs += [
+            (np.array(list(run["unknowns"].values())), Trajectory.load(folder / run["file"]))
+            for run in result["mpm_runs"]
+            if run["purpose"] != "cells"
+        ]
         write(out, asked, rows, len(deposits))
     return rows
 
@@ -99,15 +104,6 @@ def of_deposit(problem: Problem, path: Path) -> Problem:
         unmeasured = [replace(settings, csv=str(path.absolute()))]
     scene = replace(problem.scene, seed=jitter_seed(problem.scene.seed, zlib.crc32(path.stem.encode())))
     return replace(problem, name=path.stem, scene=scene, observations=tuple(unmeasured), target=target)
-
-
-def runs_of(folder: Path, result: Mapping[str, Any]) -> list[Known]:
-    """The runs of the MPM that a deposit took, on the cells of the problem."""
-    return [
-        (np.array(list(run["unknowns"].values())), Trajectory.load(folder / run["file"]))
-        for run in result["mpm_runs"]
-        if run["purpose"] != "cells"
-    ]
 
 
 def row(name: str, result: Mapping[str, Any]) -> dict[str, Any]:

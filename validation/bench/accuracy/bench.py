@@ -34,8 +34,7 @@ SEED = 7  # of what is tried: not one of those that were measured
 
 SHIPPED = {2: (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), 3: (5.0, 7.0, 10.0, 14.0, 18.0, 24.0)}
 """Cells across the smallest side with which `mpm/resolution.toml` is measured, by dimension, as all that follow."""
-CHECKED = {2: (7.0, 14.0), 3: (5.0,)}
-"""Where another step, 0.4, and other particles per axis, 3, are tried too."""
+CHECKED = {2: (7.0, 14.0), 3: (5.0,)}  # where another step, 0.4, and other particles per axis, 3, are tried too
 SHIPPED_REFERENCE, SHIPPED_SEEDS = {2: 80.0, 3: 48.0}, {2: 3, 3: 2}
 
 

@@ -50,8 +50,7 @@ class HardCase(Record):
     rests: bool = False
     rings: bool = False
     until_rest: bool = False
-    energy: float | None = None
-    """Energy that it may gain, over the available one, where that is more than usual."""
+    energy: float | None = None  # energy that it may gain, over the available one, where that is more than usual
     checks: tuple[dict[str, Any], ...] = ()
     """Of `quantities.py`: `quantity`, and its keys in `rows.toml` that are others here."""
     over: str = ""

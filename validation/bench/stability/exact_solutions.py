@@ -128,15 +128,3 @@ def settlement(scene: Scene) -> float:
         total += (load + 0.5 * weight) * height / (material.lame + 2.0 * material.shear_modulus)
         load += weight
     return total
-
-
-def repose_front(scene: Scene) -> float:
-    """Front [m] of a pile at the angle of friction, of the area of a column L x H at the wall.
-
-    A trapezoid, L + H / (2 tan phi), where H <= 2 L tan phi, else a triangle, sqrt(2 L H / tan phi).
-    """
-    tan_phi = scene.material.friction
-    length, height = scene.masses[0].size[0], sum(mass.size[1] for mass in scene.masses)
-    if height <= 2.0 * length * tan_phi:
-        return length + height / (2.0 * tan_phi)
-    return math.sqrt(2.0 * length * height / tan_phi)

@@ -179,8 +179,15 @@ def stands(flow: Trajectory) -> float:
 
 
 def spreads(flow: Trajectory) -> float:
-    """The front lies at least where that of a pile of the same area at the angle of friction would."""
-    return front(flow.positions[-1], flow.volumes) / exact.repose_front(flow.scene)
+    """The front over that of a pile at the angle of friction, of the area of the column L x H at the wall.
+
+    A trapezoid, L + H / (2 tan phi), where H <= 2 L tan phi, else a triangle, sqrt(2 L H / tan phi).
+    """
+    masses, tan_phi = flow.scene.masses, flow.scene.material.friction
+    length, height = masses[0].size[0], sum(mass.size[1] for mass in masses)
+    low = height <= 2.0 * length * tan_phi
+    pile = length + height / (2.0 * tan_phi) if low else math.sqrt(2.0 * length * height / tan_phi)
+    return front(flow.positions[-1], flow.volumes) / pile
 
 
 def creeps(flow: Trajectory) -> float:

@@ -55,8 +55,7 @@ WITHOUT_DILATION = tuple(
     for each in (BISHOP, SAND)
 )
 
-Factors = Mapping[KnownSlope, Mapping[int, Safety]]
-"""What was found of each slope, by its cells over the height."""
+Factors = Mapping[KnownSlope, Mapping[int, Safety]]  # what was found of each slope, by its cells over the height
 
 
 def factors(slopes: Sequence[KnownSlope]) -> Factors:
