@@ -228,10 +228,8 @@ def conclusion(groups: Mapping[Family, Sequence[Twin]]) -> list[str]:
             f" {good} of {len(groups)} kinds lie within {low:.0%} to {high:.0%}, as chance allows."
         )
     uneven = "; ".join(family.title for family, twins in groups.items() if uniformity(twins) < SIGNIFICANT) or "none"
-    uneven_kinds = (
-        f"Kinds whose truths are unevenly distributed over the posterior (p below {SIGNIFICANT:g}): {uneven}."
-    )
-    return [*said, uneven_kinds]
+    said.append(f"Kinds whose truths are unevenly distributed over the posterior (p below {SIGNIFICANT:g}): {uneven}.")
+    return said
 
 
 def held(twins: Sequence[Twin], level: float) -> float:

@@ -16,7 +16,7 @@ from datasets.errors import InputError, WorkFailed, require
 from datasets.exchange.rasters import Raster, read_raster, write_raster
 from datasets.files import make_folder, read_toml, reading
 from datasets.flow.trajectory import open_trajectory
-from datasets.maps import PlanMaps, maps_of
+from datasets.maps import maps_of
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import read_scene
 from datasets.schema import Record, from_mapping
@@ -91,7 +91,7 @@ def slid(data: Path, cell: float, folder: Path) -> Found:
     maps = maps_of(open_trajectory(path), beside.spacing[0], threshold=COVERED, progress=True)
     assert maps.velocity is not None, "frames beside one another tell it"
     x, z = (first + axis for first, axis in zip(maps.corner, maps.grid.axes, strict=True))
-    result = peaks(case, (x, z), maps.velocity, float(maps.normal_depth.max())) | alike(maps, (x, z), beside)
+    result = peaks(case, (x, z), maps.velocity, float(maps.normal_depth.max())) | alike(maps.velocity, (x, z), beside)
     return result | took | {"maps": time.perf_counter() - began, "memory": peak_memory_mib()}
 
 
@@ -133,12 +133,11 @@ def sliding_point(x: Floats, height: Floats, start: float, friction: float) -> f
     raise WorkFailed("the point slides off the profile")
 
 
-def alike(maps: PlanMaps, places: Sequence[Floats], beside: Raster) -> Found:
-    """How a run compares with another code cell by cell: plan overlap and ratio of the peak speeds (median)."""
-    assert maps.velocity is not None
+def alike(ours: Floats, places: Sequence[Floats], beside: Raster) -> Found:
+    """How the speeds of a run compare with another code's cell by cell: plan overlap and their ratio (median)."""
     both = zip((beside.x, beside.z), places, strict=True)
     nearest = [np.abs(axis[:, None] - place[None]).argmin(axis=0) for axis, place in both]
-    theirs, ours = beside.values[np.ix_(*nearest)], maps.velocity
+    theirs = beside.values[np.ix_(*nearest)]
     here, there = ours > MOVES, theirs > MOVES
     # What the other reached outside of our box counts as missed.
     missed = int((beside.values > MOVES).sum()) - int(there.sum())

@@ -74,8 +74,8 @@ class AnsweredNumber:
     paper: float | None
     surrogate: float | None  # the surrogate's own answer, before any run of the MPM
     found: float  # the median of the posterior
-    low: float
-    high: float  # its 2.5 % and 97.5 % quantiles
+    low: float  # its 2.5 % quantile
+    high: float  # its 97.5 % quantile
     others: tuple[tuple[float, float, float], ...] = ()  # the same three of the other separate answers
     inside: bool
     """Whether the true value is known and lies within the interval of the answer that holds most true values."""

@@ -34,11 +34,11 @@ REPOSE = "repose"  # name of the angle at which a flow stops: mu_s of mu(I)
 class Quantity(StrEnum):
     """What was measured on a deposit."""
 
-    FRONT = "front"
-    RADIUS = "radius"
-    HEIGHT = "height"
-    PROFILE = "profile"
-    RADII = "radii"
+    FRONT = "front"  # x [m] that 99.5 % of the volume is behind; with `thicker_than` where the deposit ends
+    RADIUS = "radius"  # the same share by distance from the vertical axis
+    HEIGHT = "height"  # of the surface [m] next to the wall x = 0
+    PROFILE = "profile"  # root mean square difference of the heights [m], of which the measured value is 0
+    RADII = "radii"  # that of the radius over time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,10 +97,6 @@ class Measured(Record):
     """A measured number, or a measured profile."""
 
     quantity: Quantity
-    """front: x [m] that 99.5 % of the volume is behind, or where the deposit first gets thinner than
-    `thicker_than`; radius: the same share by distance from the vertical axis; height: of the surface [m] next to the
-    wall x = 0; profile: root mean square difference of the heights [m], of which the measured value is 0; radii: that
-    of the radius over time."""
     value: float = 0.0  # [m], from the wall x = 0
     spread: Annotated[float, Bounds("a positive length in m", gt=0.0)]
     """One unit of its uncertainty [m]; where sources disagree, half of the band between them, `value` its middle."""
@@ -108,7 +104,7 @@ class Measured(Record):
     status: Literal["read", "worked out"]
     source: str
     explanation: str = ""  # why the computation may differ: printed where it does, by more than twice the spread
-    thicker_than: float | None = None  # thickness [m] by which the measurement defines a front
+    thicker_than: float | None = None  # thickness [m] by which the measurement defines a front: where it first is less
     beside_walls: float | None = None
     """In 3D, width [m] of the strips along both side walls over which a front by thickness is measured, as by a camera
     that looks through a wall. The whole width where absent."""

@@ -31,8 +31,7 @@ from mpm import simulate, simulate_many
 from validation.loop.solve import Known, solve
 
 RESULT = "result.json"
-ENDS = (" from", " to")
-"""What follows the name of an unknown, of the columns of its interval."""
+ENDS = (" from", " to")  # what follows the name of an unknown, of the columns of its interval
 
 
 def solve_series(
