@@ -18,10 +18,8 @@ import psutil
 from datasets.files import PART
 from datasets.lock import LOCK
 
-ORPHANS = 5.0
-"""Seconds after which no process of a killed command may be left."""
-LIMIT = 300.0
-"""Seconds after which a command hangs."""
+ORPHANS = 5.0  # seconds after which no process of a killed command may be left
+LIMIT = 300.0  # seconds after which a command hangs
 BLOCKS = """
 count = 10
 split_period = 4
@@ -48,8 +46,7 @@ loop = { mpm_runs = 12 }
 """
 ANSWER = ("verdict", "unknowns", "certainty", "answers", "mpm_runs")
 """Keys of the loop's result that must not depend on how it came about."""
-Digest = Mapping[str, str]
-"""What a command left, by file or key: equal where the results are."""
+Digest = Mapping[str, str]  # what a command left, by file or key: equal where the results are
 
 
 def start(arguments: list[str]) -> "subprocess.Popen[str]":

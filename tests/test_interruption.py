@@ -22,12 +22,9 @@ from tests.gns.conftest import TINY
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="expects Linux")]
 MOMENTS = 4
 """Of each command and signal, evenly over its work: with three commands and three signals about forty kills."""
-DISKS = 5
-"""Sizes of a full disk of each command: fifteen in all."""
-ENOUGH = 2**28
-"""Bytes of a disk on which every command has room."""
-PAGE = 4096
-"""Bytes in which a disk in memory counts."""
+DISKS = 5  # sizes of a full disk of each command: fifteen in all
+ENOUGH = 2**28  # bytes of a disk on which every command has room
+PAGE = 4096  # bytes in which a disk in memory counts
 
 
 def finished(arguments: list[str], out: Path) -> float:
@@ -45,16 +42,11 @@ def finished(arguments: list[str], out: Path) -> float:
 class Command:
     """A command, which goes on where it was broken off when it is given again."""
 
-    arguments: Callable[[Path], list[str]]
-    """What to hand to Python, for results in a folder."""
-    result: Callable[[Path], Digest]
-    """What is to be the same, of the results in a folder."""
-    expected: Digest
-    """That of a run that was never broken off."""
-    seconds: float
-    """Of its work, from when it held its folder."""
-    size: int
-    """What it writes [bytes]."""
+    arguments: Callable[[Path], list[str]]  # what to hand to Python, for results in a folder
+    result: Callable[[Path], Digest]  # what is to be the same, of the results in a folder
+    expected: Digest  # that of a run that was never broken off
+    seconds: float  # of its work, from when it held its folder
+    size: int  # what it writes [bytes]
 
     def check(self, out: Path) -> None:
         """Give it again: nothing is left over, and the results are those of a run that was never broken off."""

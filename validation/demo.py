@@ -9,8 +9,7 @@ import numpy as np
 
 from datasets.command_line import run
 
-ANGLES_DEG = (18.0, 42.0)
-"""Range from which the friction angle is drawn."""
+ANGLES_DEG = (18.0, 42.0)  # range from which the friction angle is drawn
 
 
 def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path | None = None) -> None:

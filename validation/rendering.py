@@ -21,14 +21,12 @@ from datasets.geometry.surface import body_of, solids_of
 
 Floats = NDArray[np.floating]
 
-DIAMETER = 1.25
-"""Of a drawn particle over the distance between particles at the start."""
+DIAMETER = 1.25  # of a drawn particle over the distance between particles at the start
 INK, STEEL, GROUND, FAINT = "#262626", "#8d9aa8", "#b5aa98", "#77736a"
 """Colours of the letters, of the baffles, of other solids and of the masses' outlines."""
 EYE = {2: (0.0, 0.0, 1.0), 3: (0.45, 0.55, 1.0)}
 """From the flow to the eye, by dimension: in 3D x runs to the right and a little nearer, seen from above."""
-WIDTH, HEIGHT = 1600, 1200
-"""An image is at most this large [px]."""
+WIDTH, HEIGHT = 1600, 1200  # an image is at most this large [px]
 MARGIN = np.array([0.26, 0.24])
 """Share of the image's width and height beside the flow, for axes, colour bar and time."""
 BAR = {"vertical": True, "position_x": 0.91, "position_y": 0.2, "height": 0.55, "width": 0.05, "fmt": "%.3g"}
@@ -43,8 +41,7 @@ def require_recorded(trajectory: Trajectory, colour: Colour) -> None:
 
 
 def write_picture(path: Path, trajectory: Trajectory, colour: Colour, frame: int) -> None:
-    """Draw `frame` into a PNG. Raises InputError for a colour that was not recorded, WorkFailed without OpenGL."""
-    require_recorded(trajectory, colour)
+    """Draw `frame` into a PNG, coloured by what `require_recorded` admits. Raises WorkFailed without OpenGL."""
     plotter = drawn(trajectory, colour, frame)
     try:
         with replacing(path) as part:

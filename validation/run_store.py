@@ -32,8 +32,7 @@ from mpm.simulation import LARGE
 SHARE = "share_s"
 """In the summary of a stored run: its share of the wall time of all that ran beside it, compilation left out [s]."""
 
-WATER = "pore_pressure"
-"""A key of recordings that was not there from the start."""
+WATER = "pore_pressure"  # a key of recordings that was not there from the start
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +41,7 @@ class Run:
 
     scene: Scene
     precision: Precision = "f32"
-    record: Recording = LAST
-    """What is recorded: the last frame, a hundredth of the file, unless more is asked for."""
+    record: Recording = LAST  # what is recorded: the last frame, a hundredth of the file, unless more is asked for
 
     @property
     def digest(self) -> str:

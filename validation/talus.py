@@ -35,8 +35,7 @@ COMMANDS = {
 }
 PROBLEMS = Path(__file__).parents[1] / "inverse" / "problems"
 DESIGNS = Path(__file__).parent / "design" / "problems"
-SENTENCE = re.compile(r"(?<=[.?]) (?=[^a-z])")
-"""Between two sentences."""
+SENTENCE = re.compile(r"(?<=[.?]) (?=[^a-z])")  # between two sentences
 
 
 def scenes() -> str:

@@ -8,10 +8,8 @@ from datasets.command_line import run
 from datasets.errors import InputError, naming
 from datasets.files import read_json, reading
 
-FIELDS = ("velocities", "pressure", "plastic_strain", "pore_pressure")
-"""Recorded ones that the page can show."""
-TARGETS = "mpm/target-*.npz"
-"""Where `validation.loop` leaves the flow of a twin experiment."""
+FIELDS = ("velocities", "pressure", "plastic_strain", "pore_pressure")  # recorded ones that the page can show
+TARGETS = "mpm/target-*.npz"  # where `validation.loop` leaves the flow of a twin experiment
 
 
 def source_of(path: Path) -> tuple[Path, str, dict[str, Any]]:

@@ -12,7 +12,7 @@ PAGES = {
     "problems": ("validation.bench.problems:bench", "the shipped inverse problems beside the reference paper"),
     "coverage": ("validation.bench.coverage:bench", "how often the posterior contains the truth, in twin experiments"),
     "speed": ("validation.bench.speed:bench", "rates of MPM and network, baffles, a gradient, a large terrain"),
-    "gpu": ("validation.bench.gpu:bench", "rates of MPM and network on a GPU, beside all processors"),
+    "gpu": ("validation.bench.speed:gpu", "rates of MPM and network on a GPU, beside all processors"),
     "mountain": ("validation.bench.mountain:bench", "slides of kilometres beside other codes (data: ISeeSnow)"),
     "gns": ("validation.bench.gns:bench", "the shipped surrogates beside the MPM: error, price, bands, rest"),
 }

@@ -42,12 +42,9 @@ from validation.run_store import kept
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}
 """Shares of truths that a region is to hold: of 40 twins chance leaves each range once in a hundred."""
-BINS = 8
-"""Of the ranks, in the test of their uniformity."""
-SIGNIFICANT = 0.01
-"""p-value below which ranks are not uniform: of so many tests one in twenty would be below 0.05."""
-FIRST_SEED = 100_000
-"""Jitter seed of the first twin's target, then upwards; its inversion has others."""
+BINS = 8  # of the ranks, in the test of their uniformity
+SIGNIFICANT = 0.01  # p-value below which ranks are not uniform: of so many tests one in twenty would be below 0.05
+FIRST_SEED = 100_000  # jitter seed of the first twin's target, then upwards; its inversion has others
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,29 +56,22 @@ class Family(Record):
     """Name of a problem, or path of one beside this file, whose scene, numbers and observation the twins have."""
     noise: float | str | None = None
     """Of each observed number, as in `inverse.observations.ObservationSettings`; unless given the problem's own."""
-    cell: float | None = None
-    """Cells of the inversion [m]; unless given those of the problem."""
+    cell: float | None = None  # cells of the inversion [m]; unless given those of the problem
     finer: float | None = None
     """Cells of the target's flow, as a share of the inversion's: what the inversion's own cells get wrong."""
     outlier: float = 0.0
     """Error of one of the numbers besides its noise, in standard deviations of that; which, and its sign, are drawn."""
-    priors: tuple[Prior, ...] = ()
-    """Of the numbers, in their order; uniform unless given."""
-    correlation: float | None = None
-    """Of the priors of the first two."""
-    surrogate: Surrogate = Surrogate.NONE
-    """Whether one leads."""
-    adapted: bool = False
-    """Whether it is one of `inverse.adapt`, whose runs of the MPM are known."""
+    priors: tuple[Prior, ...] = ()  # of the numbers, in their order; uniform unless given
+    correlation: float | None = None  # of the priors of the first two
+    surrogate: Surrogate = Surrogate.NONE  # whether one leads
+    adapted: bool = False  # whether it is one of `inverse.adapt`, whose runs of the MPM are known
     forecast: str | None = None
     """Path beside this file of another scene, whose flow is forecast by each posterior and then run with the truth."""
-    twins: int = 40
-    """How many are solved unless another number is asked for; of dear ones half as many."""
+    twins: int = 40  # how many are solved unless another number is asked for; of dear ones half as many
 
 
 FAMILIES = {name: from_mapping(Family, each) for name, each in read_toml(Path(__file__).with_suffix(".toml")).items()}
-DEFAULT = ("front", "profile")
-"""Families that are solved where none is named."""
+DEFAULT = ("front", "profile")  # families that are solved where none is named
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,10 +81,8 @@ class Twin(Record):
     seed: int
     denser: float
     """Share of the posterior that is denser than the truth: above 0.95 it is outside of the 95 % region."""
-    below: dict[str, float]
-    """Share of each number's marginal below the true value."""
-    inside: int
-    """Numbers whose interval of the answer that holds most of them holds the true value."""
+    below: dict[str, float]  # share of each number's marginal below the true value
+    inside: int  # numbers whose interval of the answer that holds most of them holds the true value
     answers: int
     verdict: str
     runs: int
@@ -125,29 +113,27 @@ def bench(
     if model is None and any(FAMILIES[name].adapted for name in only):
         raise InputError("expected the folder of an adaptation", key="--model")
     with kept(keep) as folder:
-        asked = {
-            (folder / name / f"{number:03d}.json").absolute(): (FAMILIES[name], number, model)
+        missing = [
+            (path.absolute(), FAMILIES[name], number, model)
             for name in only
             for number in range(twins or FAMILIES[name].twins)
+            if not (path := folder / name / f"{number:03d}.json").exists()
+        ]
+        os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+        with pool(min(jobs or processors(), len(missing) or 1)) as workers:
+            solved = workers.finished(store_twin, missing)
+            list(tqdm(solved, total=len(missing), unit="twin", leave=False, disable=None))
+        stored = {family: sorted((folder / name).glob("[0-9]*.json")) for name, family in FAMILIES.items()}
+        groups = {
+            family: [from_mapping(Twin, read_json(path) or {}) for path in paths]
+            for family, paths in stored.items()
+            if paths
         }
-        solve_missing(asked, jobs)
-        every = {family: twins_in(folder / name) for name, family in FAMILIES.items()}
-    groups = {family: some for family, some in every.items() if some}
     draw(out / "coverage.png", groups)
-    return written(out, groups)
-
-
-def solve_missing(asked: Mapping[Path, tuple[Family, int, Path | None]], jobs: int | None) -> None:
-    """Solve the twins whose files are not there yet, side by side, each on one thread; `asked` as `store_twin`."""
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    missing = [(path, *twin) for path, twin in asked.items() if not path.exists()]
-    with pool(min(jobs or processors(), len(missing) or 1)) as workers:
-        list(tqdm(workers.finished(store_twin, missing), total=len(missing), unit="twin", leave=False, disable=None))
-
-
-def twins_in(folder: Path) -> list[Twin]:
-    """Those that were solved."""
-    return [from_mapping(Twin, read_json(path) or {}) for path in sorted(folder.glob("[0-9]*.json"))]
+    flags = "".join(f" --only {name}" for name, family in FAMILIES.items() if family in groups)
+    flags += " --model RUN" * any(family.adapted for family in groups)
+    rows = [row(family, solved) for family, solved in groups.items()]
+    return write_page(out, "coverage", conclusion(groups), flags=flags, bins=BINS, twins=rows)
 
 
 def store_twin(path: Path, family: Family, number: int, model: Path | None) -> None:
@@ -232,24 +218,18 @@ def drawn(family: Family, number: int) -> Problem:
     return replace(asked, scene=scene, observations=observations, target=target, surrogate=family.surrogate)
 
 
-def written(out: Path, groups: Mapping[Family, Sequence[Twin]]) -> str:
-    """Write the page of all twins that were solved, by their families, and return its conclusion."""
+def conclusion(groups: Mapping[Family, Sequence[Twin]]) -> list[str]:
     every = [twin for twins in groups.values() for twin in twins]
     said = [f"{len(every)} inversions with known parameters, of {len(groups)} kinds, test the stated uncertainty."]
     for level, (low, high) in WITHIN.items():
-        shares = {family.title: held(twins, level) for family, twins in groups.items()}
-        beyond = [title for title, share in shares.items() if not low <= share <= high]
+        good = sum(low <= held(twins, level) <= high for twins in groups.values())
         said.append(
             f"The {level:.0%} regions contain the true parameters in {held(every, level):.0%} of all cases;"
-            f" {len(groups) - len(beyond)} of {len(groups)} kinds lie within {low:.0%} to {high:.0%}, as chance allows."
+            f" {good} of {len(groups)} kinds lie within {low:.0%} to {high:.0%}, as chance allows."
         )
-    uneven = [family.title for family, twins in groups.items() if uniformity(twins) < SIGNIFICANT]
-    kinds = "; ".join(uneven) or "none"
-    said.append(f"Kinds whose truths are unevenly distributed over the posterior (p below {SIGNIFICANT:g}): {kinds}.")
-    flags = "".join(f" --only {name}" for name, family in FAMILIES.items() if family in groups)
-    flags += " --model RUN" * any(family.adapted for family in groups)
-    rows = [row(family, twins) for family, twins in groups.items()]
-    return write_page(out, "coverage", said, flags=flags, bins=BINS, twins=rows)
+    uneven = "; ".join(family.title for family, twins in groups.items() if uniformity(twins) < SIGNIFICANT) or "none"
+    said.append(f"Kinds whose truths are unevenly distributed over the posterior (p below {SIGNIFICANT:g}): {uneven}.")
+    return said
 
 
 def held(twins: Sequence[Twin], level: float) -> float:
@@ -275,22 +255,18 @@ def row(family: Family, twins: Sequence[Twin]) -> Row:
         share, (low, high) = held(twins, level), WITHIN.get(level, (0.0, 1.0))
         within.append(emphasised(f"{share:.0%}", low <= share <= high))
     inside = sum(twin.inside for twin in twins) / (len(twins[0].below) * len(twins))
+    shares = {name: np.mean([twin.forecast[name] for twin in twins]) for name in twins[0].forecast}
+    forecast = ", ".join(f"{name} {share:.0%}" for name, share in shares.items())
     return {
         "inversions": f"{family.title}: {len(twins)}",
         "truths in the " + " / ".join(f"{level:.0%}" for level in REGIONS) + " region": " / ".join(within),
         "p, regions / ranks": f"{uniformity(twins):.2g} / {ranks(twins):.2g}",
         "numbers in their intervals": f"{inside:.0%}",
-        **({"numbers in the 95 % intervals of a forecast": forecast(twins)} if twins[0].forecast else {}),
+        **({"numbers in the 95 % intervals of a forecast": forecast} if forecast else {}),
         "confirmed": f"{sum(twin.verdict == 'confirmed' for twin in twins)} of {len(twins)}",
         "MPM runs": f"{np.median([twin.runs for twin in twins]):.0f}",
         "seconds": f"{np.median([twin.seconds for twin in twins]):.0f}",
     }
-
-
-def forecast(twins: Sequence[Twin]) -> str:
-    """Share of the flows of another scene whose numbers lie in the intervals of their forecasts, by number."""
-    names = list(dict.fromkeys(name for twin in twins for name in twin.forecast))
-    return ", ".join(f"{name} {np.mean([twin.forecast[name] for twin in twins]):.0%}" for name in names)
 
 
 def draw(path: Path, groups: Mapping[Family, Sequence[Twin]]) -> None:

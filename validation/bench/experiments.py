@@ -28,14 +28,11 @@ from validation.experiments.experiment import (
 from validation.plots import BLUE, INK, LIGHT_BLUE, ORANGE, figure
 from validation.run_store import Run, RunStore, kept
 
-CLOSE = 2.0
-"""Spreads within which a number agrees."""
+CLOSE = 2.0  # spreads within which a number agrees
 LADDER_DEG = (16.0, 20.0, 24.0, 28.0, 32.0)
 """Angles at which every case is run on its coarse cells: the slope of its front."""
-INFERRED = "inferred"
-"""Name of an angle that comes from the experiment itself."""
-RECORDED = 5
-"""Frames from one to the next of a flow that is measured over time."""
+INFERRED = "inferred"  # name of an angle that comes from the experiment itself
+RECORDED = 5  # frames from one to the next of a flow that is measured over time
 
 Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
 """Runs to their flows, as `validation.run_store.RunStore.run`."""
@@ -45,17 +42,15 @@ Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
 class CaseScore:
     """A measured number beside the computed one."""
 
-    label: str
-    """Experiment, case, quantity."""
+    case: str  # and its experiment
     measured: Measured
-    angle: str
-    """Such as 22.0° (repose, μ(I))."""
-    independent: bool
-    """Whether the angle was measured by itself, not inferred from this experiment."""
-    coarse: float
-    """Computed on the coarse cells [m]; nan where there was no such run."""
-    fine: float
-    """On the fine cells [m]; the coarse one's for another angle than the first."""
+    reading: Reading
+    coarse: float  # computed on the coarse cells [m]; nan where there was no such run
+    fine: float  # on the fine cells [m]; the coarse one's for another angle than the first
+
+    @property
+    def label(self) -> str:
+        return f"{self.case}, {self.measured.quantity}"
 
     @property
     def error(self) -> float:
@@ -71,14 +66,10 @@ class CaseScore:
 class Inferred:
     """The angle at which the front is the measured one, beside the material's own."""
 
-    label: str
-    """Experiment and case."""
-    own: Angle | None
-    """The material's; None where none was measured."""
-    deg: float
-    """On the fine cells [deg]."""
-    half_width_deg: float
-    """By CLOSE times the measurement's spread [deg]."""
+    label: str  # experiment and case
+    own: Angle | None  # the material's; None where none was measured
+    deg: float  # on the fine cells [deg]
+    half_width_deg: float  # by CLOSE times the measurement's spread [deg]
 
     @property
     def difference_deg(self) -> float:
@@ -96,18 +87,12 @@ class Predicted:
     """What a prediction says on one grid."""
 
     variant: str
-    cell: float
-    """[m]."""
-    gauges: tuple[float, ...]
-    """Distances [m]."""
-    time: Floats
-    """Of the frames [s], shape [T]."""
-    front: Floats
-    """Its distance [m], shape [T]."""
-    thickness: Floats
-    """At the gauges [m], shape [G, T]."""
-    arrivals: Floats
-    """At the gauges [s], shape [G]; nan where the front does not get there."""
+    cell: float  # [m]
+    gauges: tuple[float, ...]  # distances [m]
+    time: Floats  # of the frames [s], shape [T]
+    front: Floats  # its distance [m], shape [T]
+    thickness: Floats  # at the gauges [m], shape [G, T]
+    arrivals: Floats  # at the gauges [s], shape [G]; nan where the front does not get there
 
 
 def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
@@ -122,11 +107,11 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
     with kept(keep) as folder:
         store = RunStore(folder)
         computed = [compute(experiment, case, store.run) for experiment in read for case in experiment.cases]
-        predicted = {
-            f"{experiment.name}, {prediction.name}": (experiment, forecast(experiment, prediction, store.run))
+        predicted = [
+            (f"{experiment.name}, {prediction.name}", experiment, forecast(experiment, prediction, store.run))
             for experiment in read
             for prediction in experiment.predictions
-        }
+        ]
     scores = [row for rows, _ in computed for row in rows]
     inferred = [angle for _, angle in computed if angle is not None]
     firsts = [first for first, *_ in scores]
@@ -141,8 +126,16 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
         close=CLOSE,
         scores=[score_row(*row) for row in scores],
         reasons="\n".join(reasons),
-        inferred=[inferred_row(angle) for angle in inferred],
-        predictions="\n\n".join(section(label, *pair, out) for label, pair in predicted.items()),
+        inferred=[
+            {
+                "experiment": angle.label,
+                "measured": f"{own.deg:.1f} ± {own.half_width_deg:.1f}° ({own.name})" if (own := angle.own) else "",
+                "inferred": f"{angle.deg:.1f} ± {angle.half_width_deg:.1f}°",
+                "difference [°]": "-" if own is None else f"{angle.difference_deg:+.1f}",
+            }
+            for angle in inferred
+        ],
+        predictions="\n\n".join(section(*item, out) for item in predicted),
         sources="\n".join(sources),
     )
 
@@ -179,15 +172,9 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
         fine |= run(1, [again])
 
     def score(measured: Measured, reading: Reading) -> CaseScore:
-        computed = [quantity(measured, flows[reading]) if reading in flows else math.nan for flows in (coarse, fine)]
-        return CaseScore(
-            label=f"{label}, {measured.quantity}",
-            measured=measured,
-            angle=str(reading),
-            independent=bool(readings),
-            coarse=computed[0],
-            fine=computed[0] if reading not in fine else computed[1],
-        )
+        by_coarse = quantity(measured, coarse[reading]) if reading in coarse else math.nan
+        by_fine = quantity(measured, fine[reading]) if reading in fine else by_coarse
+        return CaseScore(case=label, measured=measured, reading=reading, coarse=by_coarse, fine=by_fine)
 
     numbers = case.measured if readings else case.measured[1:]
     return [[score(measured, reading) for reading in readings or (again,)] for measured in numbers], inferred
@@ -236,14 +223,10 @@ def section(label: str, experiment: Experiment, predictions: Sequence[Predicted]
             row[f"front at {at:g} m [s]"] = "-" if math.isnan(arrival) else f"{arrival:.2f}"
             row[f"thickest at {at:g} m [m]"] = f"{series.max():.3f} at {predicted.time[series.argmax()]:.1f} s"
         rows.append({**row, "farthest front [m]": f"{predicted.front.max():.1f}"})
-    half = len(predictions) // 2
-    both = zip(predictions[:half], predictions[half:], strict=True)
-    moved = [abs(fine.arrivals / coarse.arrivals - 1.0) for coarse, fine in both]
-    said = f"Half the cell moves the arrivals by at most {percent(float(np.max(moved)))}."
     variants = [variant for prediction in experiment.predictions for variant in prediction.variants]
     lines = [f"- {variant.name}: {variant.source}." for variant in variants]
     lines += [f"- {made['what']}: {made['choice']}; {made['reason']}." for made in experiment.assumptions]
-    parts = [f"### {label}", f"{experiment.title}. {experiment.what}", tables([rows]), said, f"![{label}]({picture})"]
+    parts = [f"### {label}", f"{experiment.title}. {experiment.what}", tables([rows]), f"![{label}]({picture})"]
     return "\n\n".join([*parts, "\n".join(lines)])
 
 
@@ -263,27 +246,18 @@ def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float
 def score_row(score: CaseScore, *others: CaseScore) -> Row:
     return {
         "experiment": score.label,
-        "angle": score.angle,
+        "angle": str(score.reading),
         "measured [m]": f"{score.measured.value:.4f} ± {score.measured.spread:.4f}",
         "coarse cells [m]": "-" if math.isnan(score.coarse) else f"{score.coarse:.4f}",
         "fine cells [m]": f"{score.fine:.4f}",
         "error [spreads]": emphasised(f"{score.error:+.1f}", score.agrees),
-        "at the other angle": ", ".join(f"{other.error:+.1f} at {other.angle}" for other in others),
-    }
-
-
-def inferred_row(inferred: Inferred) -> Row:
-    return {
-        "experiment": inferred.label,
-        "measured": f"{angle.deg:.1f} ± {angle.half_width_deg:.1f}° ({angle.name})" if (angle := inferred.own) else "",
-        "inferred": f"{inferred.deg:.1f} ± {inferred.half_width_deg:.1f}°",
-        "difference [°]": "-" if inferred.own is None else f"{inferred.difference_deg:+.1f}",
+        "at the other angle": ", ".join(f"{other.error:+.1f} at {other.reading}" for other in others),
     }
 
 
 def conclusion(firsts: Sequence[CaseScore], angles: Sequence[Inferred]) -> list[str]:
     """Lengths and fronts forward, angles backward; firsts: the scores at the first angles."""
-    scores = [score for score in firsts if score.independent]
+    scores = [score for score in firsts if score.reading.name != INFERRED]
     inferred = [angle for angle in angles if angle.own is not None]
     if not scores:
         return ["No experiment has an angle of friction of its own."]

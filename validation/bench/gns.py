@@ -21,8 +21,8 @@ from datasets.errors import InputError
 from datasets.flow import measures
 from datasets.flow.measures import AFTER, Errors, summary
 from datasets.flow.trajectory import Trajectory
-from datasets.scene import Domain, Mass, Scene
-from datasets.scene.material import Material
+from datasets.scene import Domain, Scene
+from datasets.scene.library import read_scene
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
@@ -31,37 +31,28 @@ from validation.bench.page import Keep, Out, Row, between, tables, write_page
 from validation.plots import BLUE, INK, ORANGE, figure
 from validation.run_store import Run, RunStore, kept
 
-SEED = 1
-"""Of the held-out scenes; the training data have 0."""
+SEED = 1  # of the held-out scenes; the training data have 0
 SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 18, "obstacle3d": 4, "terrain3d": 6}}
 """Held-out scenes of each family, one of every kind after the other, by dimension; references in 3D are dear."""
 CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
 """Of the coarse MPM, across the smallest side of the body, by dimension."""
-LEVEL = 0.95
-"""Of the bands."""
+LEVEL = 0.95  # of the bands
 AGAIN = "the MPM, jittered anew"
-CREST = ((0.3, 0.0), (1.1, 0.0), (0.7, 0.2))
-"""Corners of a mound [m]."""
 MOUNDS = ((45.0, 12.0), (42.0, 8.0), (35.0, 0.0))
 """Angles of friction and of the floor [deg] under which it stays where it is."""
-JITTERS = 3
-"""Of a mound."""
+JITTERS = 3  # of a mound
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
     """One held-out scene by a model and by the MPM."""
 
-    kind: str
-    """Of the scene."""
-    extent: float
-    """Of the reference's deposit [m]."""
-    free: bool
-    """Whether no wall holds the reference's front."""
+    kind: str  # of the scene
+    extent: float  # of the reference's deposit [m]
+    free: bool  # whether no wall holds the reference's front
     by: Mapping[str, Errors]
     """By method: the model's name, the MPM on coarse cells, a run like the reference jittered anew."""
-    seconds: Mapping[str, float]
-    """By method: on one thread, without compilation and without loading a model."""
+    seconds: Mapping[str, float]  # by method: on one thread, without compilation and without loading a model
     band: tuple[float, float] | None
     """Error of the predicted front and half-width of its band [m]; of free fronts at larger x, of models with bands."""
 
@@ -127,7 +118,13 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
         level=LEVEL,
         jitters=JITTERS,
         kinds=tables(kind_rows(errors) for errors in measured),
-        prices=tables(price_rows(errors) for errors in measured),
+        prices=tables(
+            [
+                {errors.family: name, "seconds": f"{s:.3g}", "error": f"{e:.1%}"}
+                for name, (s, e) in errors.points.items()
+            ]
+            for errors in measured
+        ),
         bands=bands,
         mounds=[
             {"mound": f"{friction:g}° on {slope:g}°"} | {name: f"{speed:+.2g}" for name, speed in by.items()}
@@ -180,7 +177,6 @@ def at_rest(models: Sequence[Path]) -> Mounds:
 
 
 def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
-    """See `Compared.band`."""
     try:
         prediction = gns.predict(scene, model=path, level=LEVEL)
     except InputError:
@@ -225,11 +221,6 @@ def kind_rows(model: ModelErrors) -> list[Row]:
         counts = f"{len(group)}, {sum(case.free for case in group)}"
         rows.append({f"`{model.name}` on {model.family}": title, "scenes, free": counts} | summary(errors))
     return rows
-
-
-def price_rows(model: ModelErrors) -> list[Row]:
-    points = model.points.items()
-    return [{model.family: name, "seconds": f"{s:.3g}", "error": f"{error:.1%}"} for name, (s, error) in points]
 
 
 def draw(path: Path, measured: Sequence[ModelErrors]) -> None:
@@ -278,17 +269,9 @@ def coarse(scene: Scene, cells: int) -> Scene:
 
 
 def mound(friction_deg: float, slope_deg: float, seed: int) -> Scene:
-    """A mound of the corners `CREST`, stable where it is less steep than its angle of friction."""
-    return Scene(
-        domain=Domain(size=(2.0, 0.4), cell=0.01),
-        material=Material(friction_deg=friction_deg),
-        masses=(Mass(kind="polygon", vertices=CREST),),
-        duration=1.5,
-        frame_dt=0.02,
-        floor_friction=0.9,
-        slope_deg=slope_deg,
-        seed=seed,
-    )
+    """The mound of `mound.toml`, stable where it is less steep than its angle of friction."""
+    scene = read_scene(Path(__file__).with_name("mound.toml")).with_friction_deg(friction_deg)
+    return replace(scene, slope_deg=slope_deg, seed=seed)
 
 
 def creep(flow: Trajectory) -> float:

@@ -26,11 +26,9 @@ from mpm import Recording, simulate
 P = ParamSpec("P")
 Key = TypeVar("Key")
 T = TypeVar("T")
-Found = dict[str, Any]
-"""What a piece of work came to and took, by key."""
+Found = dict[str, Any]  # what a piece of work came to and took, by key
 CLEAR = Path("/proc/self/clear_refs")
-RESET_PEAK = "5"
-"""Written into CLEAR, it begins the record of the peak anew."""
+RESET_PEAK = "5"  # written into CLEAR, it begins the record of the peak anew
 
 
 @dataclass(frozen=True)
@@ -55,15 +53,15 @@ def seconds_of(action: Callable[[], object]) -> float:
     return time.perf_counter() - began
 
 
-def turns(work: Mapping[Key, Callable[[], T]], rounds: int, what: str) -> dict[Key, list[T]]:
-    """All work once, then all of it once more, `rounds` times in all."""
-    results: dict[Key, list[T]] = {key: [] for key in work}
+def turns(work: Mapping[Key, Callable[[], float]], rounds: int, what: str) -> dict[Key, Spread]:
+    """What each work measures: all of it once, then all of it once more, `rounds` times in all."""
+    results: dict[Key, list[float]] = {key: [] for key in work}
     with tqdm(total=rounds * len(work), desc=what, unit="run", dynamic_ncols=True) as progress:
         for _ in range(rounds):
             for key, task in work.items():
                 results[key].append(task())
                 progress.update()
-    return results
+    return {key: Spread(values) for key, values in results.items()}
 
 
 def isolated(work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:

@@ -14,64 +14,48 @@ import numpy as np
 from datasets import site
 from datasets.errors import InputError, WorkFailed, require
 from datasets.exchange.rasters import Raster, read_raster, write_raster
-from datasets.files import make_folder, reading
+from datasets.files import make_folder, read_toml, reading
 from datasets.flow.trajectory import open_trajectory
-from datasets.maps import PlanMaps, maps_of
+from datasets.maps import maps_of
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import read_scene
+from datasets.schema import Record, from_mapping
 from inverse.answer import peak_memory_mib
 from mpm import Recording, simulate
 from validation.bench.measuring import Found, once, recorded
-from validation.bench.page import Keep, Out, Row, between, tables, write_page
+from validation.bench.page import Keep, Out, Row, between, formatted, tables, write_page
 from validation.run_store import kept
 
 PARAMETERS = "simulationParameterValues_{}.csv"
-MOVES = 1.0
-"""Peak speed [m/s] from which a cell counts as reached."""
-COVERED = 0.1
-"""Thickness [m] from which the speed of a cell counts: a particle alone in a cell of 5 m is less."""
-EVERY = 2
-"""Frames from one that is kept for the maps to the next."""
-NEAREST = "com1DFA"
-"""The code that cell by cell is compared with."""
-ALIKE = ("com1DFA", "MPM")
-"""Codes of particles, which the speeds are compared with where they are there."""
+MOVES = 1.0  # peak speed [m/s] from which a cell counts as reached
+COVERED = 0.1  # thickness [m] from which the speed of a cell counts: a particle alone in a cell of 5 m is less
+EVERY = 2  # frames from one that is kept for the maps to the next
+NEAREST = "com1DFA"  # the code that cell by cell is compared with
+ALIKE = ("com1DFA", "MPM")  # codes of particles, which the speeds are compared with where they are there
 
 
-@dataclass(frozen=True)
-class Slide:
+@dataclass(frozen=True, kw_only=True)
+class Slide(Record):
     """A case of the comparison."""
 
-    codes: tuple[str, ...]
-    """Whose peaks are in the data."""
-    axis: int
-    """Along which it runs: 0 by easting, 1 by northing."""
-    onward: int
-    """1 where coordinates grow along the flow, else -1."""
-    sections: tuple[float, ...]
-    """Coordinates of the cross-sections [m]."""
-    cells: tuple[float, ...] = (4.0, 2.0)
-    """Edges of the grid's cells [m] that are affordable, coarse ones first."""
+    codes: tuple[str, ...]  # whose peaks are in the data
+    axis: int  # along which it runs: 0 by easting, 1 by northing
+    onward: int  # 1 where coordinates grow along the flow, else -1
+    sections: tuple[float, ...]  # coordinates of the cross-sections [m]
+    cells: tuple[float, ...]  # edges of the grid's cells [m] that are affordable, coarse ones first
     internal_friction: float = 45.0
     """[deg]. Voellmy's law is that of a layer that does not shear inside: it has to be steeper than the slope."""
 
 
-SLIDING, STEEP = 0.35, 35.0
-"""Friction of the bed of avaSlide, and angle of internal friction there [deg]."""
+SLIDING, STEEP = 0.35, 35.0  # friction of the bed of avaSlide, and angle of internal friction there [deg]
 RAISED = ((5.0, 0.0), (2.5, 0.0), (5.0, 1234.56))
 """Cells [m] on which avaSlide runs, and by what its ground is raised [m]."""
-OTHERS = ("com1DFA", "samosat", "RAMMSUSER", "TITAN2D", "TRENT2D")
-CASES = {
-    "CoulombOnly": Slide(
-        ("com1DFA", "samosat", "MPM", "RAMMSUSER", "TITAN2D", "TRENT2D"), 0, 1,
-        (1500.0, 2000.0, 2500.0, 3000.0, 3250.0, 3500.0, 3750.0, 4000.0), (4.0, 2.0, 1.0), internal_friction=30.0,
-    ),
-    "IdealizedTopo": Slide(OTHERS, 0, 1, (1500.0, 1750.0, 2000.0, 2250.0, 2500.0, 2750.0, 3000.0, 3200.0)),
-    "RealTopo": Slide(
-        ("com1DFA", "samosat", "RAMMSUSER", "TRENT2D"), 1, -1,
-        (364000.0, 363750.0, 363500.0, 363250.0, 363000.0, 362750.0, 362600.0, 362450.0), (4.0,),
-    ),
-}  # fmt: skip
+LINES = {"cell [m]": "g", "ground raised by [m]": "g", "particles": ",", "slope of the energy line": ".4f"}
+LINES |= {"of a point": ".4f", "off by": "+.1%"}
+COSTS = {"case": "", "cell [m]": "g", "particles": ",", "steps": ",", "before the first step [s]": ".1f"}
+COSTS |= {"compilation [s]": ".1f", "run [s]": ".0f", "million particle-steps/s": ".1f", "maps [s]": ".0f"}
+COSTS |= {"memory [MiB]": ".0f"}  # forms of the columns
+CASES = {name: from_mapping(Slide, table) for name, table in read_toml(Path(__file__).with_suffix(".toml")).items()}
 
 
 def written_scene(data: Path, cell: float, folder: Path) -> Path:
@@ -107,7 +91,7 @@ def slid(data: Path, cell: float, folder: Path) -> Found:
     maps = maps_of(open_trajectory(path), beside.spacing[0], threshold=COVERED, progress=True)
     assert maps.velocity is not None, "frames beside one another tell it"
     x, z = (first + axis for first, axis in zip(maps.corner, maps.grid.axes, strict=True))
-    result = peaks(case, (x, z), maps.velocity, float(maps.normal_depth.max())) | alike(maps, (x, z), beside)
+    result = peaks(case, (x, z), maps.velocity, float(maps.normal_depth.max())) | alike(maps.velocity, (x, z), beside)
     return result | took | {"maps": time.perf_counter() - began, "memory": peak_memory_mib()}
 
 
@@ -149,12 +133,11 @@ def sliding_point(x: Floats, height: Floats, start: float, friction: float) -> f
     raise WorkFailed("the point slides off the profile")
 
 
-def alike(maps: PlanMaps, places: Sequence[Floats], beside: Raster) -> Found:
-    """How a run compares with another code cell by cell: plan overlap and ratio of the peak speeds (median)."""
-    assert maps.velocity is not None
+def alike(ours: Floats, places: Sequence[Floats], beside: Raster) -> Found:
+    """How the speeds of a run compare with another code's cell by cell: plan overlap and their ratio (median)."""
     both = zip((beside.x, beside.z), places, strict=True)
     nearest = [np.abs(axis[:, None] - place[None]).argmin(axis=0) for axis, place in both]
-    theirs, ours = beside.values[np.ix_(*nearest)], maps.velocity
+    theirs = beside.values[np.ix_(*nearest)]
     here, there = ours > MOVES, theirs > MOVES
     # What the other reached outside of our box counts as missed.
     missed = int((beside.values > MOVES).sum()) - int(there.sum())
@@ -199,7 +182,7 @@ def bench(
     require(set(case) <= set(CASES), "--case", f"some of {', '.join(CASES)}", list(case))
     single = (data / PARAMETERS.format(data.name)).exists()
     folders = {data.name: data} if single else {name: data / name for name in case}
-    beside, costs, conclusion, lines, off, all_found = [], [], [], [], [], list[Found]()
+    beside, conclusion, costs, lines = list[str](), list[str](), list[Found](), list[Found]()
     with kept(keep) as folder:
         for name, place in folders.items():
             others, by_cell = dict[str, Found](), dict[float, Found]()
@@ -213,25 +196,25 @@ def bench(
             codes = {f"**Talus, {cell:g} m**": result for cell, result in by_cell.items()} | others
             rows = [row(CASES[name], code, result) for code, result in codes.items()]
             beside.append(f"### {name}\n\n{tables([rows])}")
-            costs += [cost(name, *item) for item in by_cell.items()]
+            for cell, took in by_cell.items():
+                particles, steps, seconds = took["particles"], took["steps"], took["seconds"]
+                rate = particles * steps / seconds / 1e6
+                parts = took["before"], took["compile"], seconds, rate, took["maps"], took["memory"]
+                costs.append(dict(zip(COSTS, (name, cell, particles, steps, *parts), strict=True)))
             conclusion.append(compared(name, by_cell[min(by_cell)], others))
-            all_found += by_cell.values()
         if slide is not None:
             make_folder(place := folder / "avaSlide")
             for cell, raised in RAISED:
                 result = once(place / f"{cell:g}-{raised:g}.json", energy_line, slide, cell, raised, place)
-                lines.append(beside_point(cell, raised, result))
-                off.append(abs(result["slope"] / result["point"] - 1.0))
-            conclusion.append(
-                f"avaSlide: the slope of the energy line is within {max(off):.1%} of that of a sliding point."
-            )
-    seconds, memory = (max(result[key] for result in all_found) for key in ("seconds", "memory"))
+                slopes = result["slope"], result["point"], result["slope"] / result["point"] - 1.0
+                lines.append(dict(zip(LINES, (cell, raised, result["particles"], *slopes), strict=True)))
+            off = max(abs(line["off by"]) for line in lines)
+            conclusion.append(f"avaSlide: the slope of the energy line is within {off:.1%} of that of a sliding point.")
+    seconds, memory = (max(row[key] for row in costs) for key in ("run [s]", "memory [MiB]"))
     conclusion.append(f"The longest run takes {seconds:.0f} s; no run needs more than {memory:.0f} MiB.")
-    flags = " --data DIR" + "".join(f" --cells {cell:g}" for cell in cells)
-    flags += " --slide DIR" if slide is not None else ""
-    return write_page(
-        out, "mountain", conclusion, flags=flags, codes="\n\n".join(beside), costs=costs, lines=lines or "Not run."
-    )
+    flags = " --data DIR" + "".join(f" --cells {cell:g}" for cell in cells) + " --slide DIR" * (slide is not None)
+    tabled = {"costs": formatted(costs, COSTS), "lines": formatted(lines, LINES) or "Not run."}
+    return write_page(out, "mountain", conclusion, flags=flags, codes="\n\n".join(beside), **tabled)
 
 
 def compared(name: str, finest: Found, others: Mapping[str, Found]) -> str:
@@ -245,34 +228,6 @@ def compared(name: str, finest: Found, others: Mapping[str, Found]) -> str:
         f" {apart.mean():.0%} on average, and {finest['overlap']:.0%} of the area that either covers is common with"
         f" {NEAREST}."
     )
-
-
-def cost(case: str, cell: float, took: Found) -> Row:
-    """What a run takes on cells of this edge [m]."""
-    return {
-        "case": case,
-        "cell [m]": f"{cell:g}",
-        "particles": f"{took['particles']:,}",
-        "steps": f"{took['steps']:,}",
-        "before the first step [s]": f"{took['before']:.1f}",
-        "compilation [s]": f"{took['compile']:.1f}",
-        "run [s]": f"{took['seconds']:.0f}",
-        "million particle-steps/s": f"{took['particles'] * took['steps'] / took['seconds'] / 1e6:.1f}",
-        "maps [s]": f"{took['maps']:.0f}",
-        "memory [MiB]": f"{took['memory']:.0f}",
-    }
-
-
-def beside_point(cell: float, raised: float, result: Found) -> Row:
-    """A run of avaSlide beside the point."""
-    return {
-        "cell [m]": f"{cell:g}",
-        "ground raised by [m]": f"{raised:g}",
-        "particles": f"{result['particles']:,}",
-        "slope of the energy line": f"{result['slope']:.4f}",
-        "of a point": f"{result['point']:.4f}",
-        "off by": f"{result['slope'] / result['point'] - 1.0:+.1%}",
-    }
 
 
 def row(case: Slide, name: str, result: Found) -> Row:

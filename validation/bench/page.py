@@ -23,18 +23,15 @@ Out = Annotated[Path, Parameter(help="Folder of the page and its pictures.")]
 Keep = Annotated[
     Path | None, Parameter(help="Folder of finished work, which is not done again; temporary if not given.")
 ]
-Many = Parameter(validator=Number(gte=1))
-"""Of things of which there is at least one."""
+Many = Parameter(validator=Number(gte=1))  # of things of which there is at least one
 Rounds = Annotated[int, Many, Parameter(help="How often everything is measured: tables give median and range.")]
 TEMPLATES = Path(__file__).parent / "pages"
-CONCLUSION = 5
-"""Most sentences of a conclusion."""
+CONCLUSION = 5  # most sentences of a conclusion
 PACKAGES = {"Taichi": "taichi", "NumPy": "numpy", "PyTorch": "torch", "Numba": "numba"}
 """What Talus computes with, by name."""
 CPUINFO = Path("/proc/cpuinfo")
 
-Row = Mapping[str, object]
-"""A row of a table: its cells by column heading."""
+Row = Mapping[str, object]  # a row of a table: its cells by column heading
 
 
 def percent(fraction: float, form: str = ".2g") -> str:

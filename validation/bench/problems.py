@@ -21,13 +21,10 @@ from validation.bench.page import Keep, Out, Row, between, emphasised, tables, w
 from validation.plots import BLUE, GREY, INK, ORANGE, RED, figure
 from validation.run_store import kept
 
-RESULT, KEY = "result.json", "made-of.txt"
-"""Of a problem: what the loop wrote, and a digest of what it was made of."""
+RESULT, KEY = "result.json", "made-of.txt"  # of a problem: what the loop wrote, and a digest of what it was made of
 ENDED = (0, 1)  # confirmed, and not
-LISTED = 4
-"""Of more numbers than these the page has one row."""
-ALONE, LED, COARSE = "MPM alone", "surrogate leads", "larger cells lead"
-"""The ways to an answer."""
+LISTED = 4  # of more numbers than these the page has one row
+ALONE, LED, COARSE = "MPM alone", "surrogate leads", "larger cells lead"  # the ways to an answer
 COLOURS = {ALONE: BLUE, LED: ORANGE}
 
 
@@ -36,14 +33,10 @@ class Criteria(Record):
     """What an outcome is compared with."""
 
     verdict: Verdict = Verdict.CONFIRMED
-    front_error_pct: float = math.inf
-    """Largest relative error of the front in the MPM."""
-    unknown_error_pct: float = math.inf
-    """Largest relative error of a number, where its half-width is no wider."""
-    loss: float = math.inf
-    """Largest loss in the MPM [m^2]."""
-    inside: bool = False
-    """Whether every true value is to be within its interval."""
+    front_error_pct: float = math.inf  # largest relative error of the front in the MPM
+    unknown_error_pct: float = math.inf  # largest relative error of a number, where its half-width is no wider
+    loss: float = math.inf  # largest loss in the MPM [m^2]
+    inside: bool = False  # whether every true value is to be within its interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,23 +53,15 @@ class Section(Record):
 
     title: str
     problems: tuple[str, ...]
-    pictures: tuple[str, ...] = ()
-    """PROBLEM/PICTURE that the page shows, without the ending."""
+    pictures: tuple[str, ...] = ()  # PROBLEM/PICTURE that the page shows, without the ending
     again: tuple[Surrogate, ...] = ()
     """Each problem is solved once more with each of these in place of what it asks for."""
     criteria: Criteria
 
-    def inversions(self, name: str) -> list[tuple[Problem, str]]:
-        """The problem of this name in each way in which it is solved, and the names of the folders."""
-        problem = read_problem(name)
-        return [(problem, name), *((replace(problem, surrogate=way), f"{name}-{way}") for way in self.again)]
-
 
 SHIPPED = read_toml(Path(__file__).with_suffix(".toml"))
-FAMILIES = [from_mapping(Section, each) for each in SHIPPED["families"]]
-"""In the order of the page."""
-PAPER = {name: from_mapping(Paper, each) for name, each in SHIPPED["paper"].items()}
-"""Its figures, by problem."""
+FAMILIES = [from_mapping(Section, each) for each in SHIPPED["families"]]  # in the order of the page
+PAPER = {name: from_mapping(Paper, each) for name, each in SHIPPED["paper"].items()}  # its figures, by problem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,15 +72,11 @@ class AnsweredNumber:
     unit: str
     truth: float | None
     paper: float | None
-    surrogate: float | None
-    """The surrogate's own answer, before any run of the MPM."""
-    found: float
-    """The median of the posterior."""
-    low: float
-    high: float
-    """Its 2.5 % and 97.5 % quantiles."""
-    others: tuple[tuple[float, float, float], ...] = ()
-    """The same three of the other separate answers."""
+    surrogate: float | None  # the surrogate's own answer, before any run of the MPM
+    found: float  # the median of the posterior
+    low: float  # its 2.5 % quantile
+    high: float  # its 97.5 % quantile
+    others: tuple[tuple[float, float, float], ...] = ()  # the same three of the other separate answers
     inside: bool
     """Whether the true value is known and lies within the interval of the answer that holds most true values."""
 
@@ -110,8 +91,7 @@ class Outcome:
 
     problem: Problem
     criteria: Criteria
-    result: dict[str, Any]
-    """`result.json`."""
+    result: dict[str, Any]  # `result.json`
 
     @property
     def paper(self) -> Paper:
@@ -167,8 +147,7 @@ class Outcome:
         return [text for text, met in checks.items() if not met]
 
 
-Outcomes = Mapping[str, Outcome]
-"""Of one problem, by the way to them."""
+Outcomes = Mapping[str, Outcome]  # of one problem, by the way to them
 
 
 def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
@@ -188,11 +167,15 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
     with kept(keep) as folder:
         for family in FAMILIES:
             for name in family.problems:
-                ways: dict[str, Outcome] = {}
-                for problem, place in family.inversions(name):
-                    if name in (only or names) and not solved(problem, folder / place):
-                        failed.append(place)
-                    if is_current(problem, folder / place) and (result := read_json(folder / place / RESULT)):
+                ways, asked = dict[str, Outcome](), read_problem(name)
+                again = ((replace(asked, surrogate=way), f"{name}-{way}") for way in family.again)
+                for problem, place in ((asked, name), *again):
+                    result = current_result(problem, folder / place)
+                    if result is None and name in (only or names):
+                        solve(problem, folder / place)
+                        if (result := current_result(problem, folder / place)) is None:
+                            failed.append(place)
+                    if result is not None:
                         outcome = Outcome(problem=problem, criteria=family.criteria, result=result)
                         ways.setdefault(outcome.way, outcome)
                 if ways:
@@ -205,13 +188,9 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
     every = [ways for problems in by_family.values() for ways in problems]
     write_numbers(out / "problems.csv", [outcome for ways in every for outcome in ways.values()])
     draw(out / "pictures" / "problems.png", every)
-    said = write_page(
-        out,
-        "problems",
-        conclusion(every),
-        families="\n\n".join(section(*item) for item in by_family.items()),
-        pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
-    )
+    families = "\n\n".join(section(*item) for item in by_family.items())
+    shown = "\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures)
+    said = write_page(out, "problems", conclusion(every), families=families, pictures=shown)
     if failed:
         raise WorkFailed(f"could not be run: {', '.join(failed)}")
     return said
@@ -219,31 +198,29 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
 
 def made_of(problem: Problem) -> str:
     """Digest of the problem and of the weights of a surrogate that may be asked."""
-    text, asked = repr(replace(problem, folder=Path())), problem.surrogate is not Surrogate.NONE
+    # Wherever the problem lies.
+    text = repr(problem).replace(repr(problem.folder), repr(Path()))
+    asked = problem.surrogate is not Surrogate.NONE
     weights = library.shipped(problem.scene).read_bytes() if asked else b""
     return hashlib.sha256(text.encode() + weights).hexdigest()[:16]
 
 
-def is_current(problem: Problem, folder: Path) -> bool:
-    """Whether `folder` has a result of the problem as it is now."""
+def current_result(problem: Problem, folder: Path) -> dict[str, Any] | None:
+    """The result in `folder` of the problem as it is now."""
     key = folder / KEY
-    return key.exists() and (folder / RESULT).exists() and key.read_text() == made_of(problem)
+    return read_json(folder / RESULT) if key.exists() and key.read_text() == made_of(problem) else None
 
 
-def solved(problem: Problem, folder: Path) -> bool:
-    """Whether `folder` has a current result, by the loop in a process of its own where it had none."""
-    if is_current(problem, folder):
-        return True
+def solve(problem: Problem, folder: Path) -> None:
+    """Solve a problem by the loop in a process of its own; nothing current is in `folder` where that fails."""
     if (folder / KEY).exists():
         # Made of another problem or other weights: runs that it kept would cost this one no seconds.
         shutil.rmtree(folder)
     # An older result is not this one's, should this one fail.
     (folder / RESULT).unlink(missing_ok=True)
     arguments = ["-m", "validation.loop", problem.name, "--out", str(folder), "--surrogate", problem.surrogate]
-    if subprocess.run([sys.executable, *arguments], check=False).returncode not in ENDED:
-        return False
-    write_text(folder / KEY, made_of(problem))
-    return True
+    if subprocess.run([sys.executable, *arguments], check=False).returncode in ENDED:
+        write_text(folder / KEY, made_of(problem))
 
 
 def section(title: str, problems: Sequence[Outcomes]) -> str:
@@ -269,7 +246,8 @@ def conclusion(solved: Sequence[Outcomes]) -> list[str]:
         said.append(f"The 95 % intervals contain {sum(inside)} of {len(inside)} true values.")
     sizes: dict[str, list[float]] = {way: [] for way in (*COLOURS, "paper")}
     for outcome in outcomes:
-        for number in outcome.numbers if outcome.problem.names == ["friction_deg"] and outcome.paper.values else ():
+        if outcome.problem.names == ["friction_deg"] and outcome.paper.values:
+            (number,) = outcome.numbers
             sizes[outcome.way].append(abs(number.off(number.found)))
             sizes["paper"].append(abs(number.off(number.paper)))
     if errors := ", ".join(f"{between(values, '.1f')}° ({way})" for way, values in sizes.items() if values):

@@ -1,7 +1,9 @@
-"""`python -m validation.bench speed`: rates, baffles, water, first runs, a gradient's price, networks, a terrain."""
+"""`python -m validation.bench speed`: rates, baffles, water, first runs, a gradient's price, networks, a terrain.
+
+And `gpu`: rates of the MPM and a step of the network on a GPU, beside the processor.
+"""
 
 import os
-import statistics
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
@@ -13,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import maps
-from datasets.files import make_folder
+from datasets.errors import InputError
+from datasets.files import make_folder, read_toml
 from datasets.flow.trajectory import open_trajectory
 from datasets.geometry.placement import remembers_gaps
 from datasets.processes import processors
@@ -30,17 +33,14 @@ from validation.bench.measuring import Found, Spread, isolated, once, recorded, 
 from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, write_page
 from validation.run_store import Run, kept
 
-CUBE = 0.375
-"""Edge of the body in 3D [m]."""
-GRADIENT_MIB = 1024.0
-"""Memory that a gradient may take: enough for the checkpoints of the largest scene priced."""
+CUBE = 0.375  # edge of the body in 3D [m]
+GRADIENT_MIB = 1024.0  # memory that a gradient may take: enough for the checkpoints of the largest scene priced
 STARTED = ("column-short-21", "flume-35", "baffles-2", "valley-3d")
 """Shipped scenes of several kinds of kernels: nothing but the box, terrain, baffles; two dimensions, then three."""
 PRICED = "column-tall-42"
 FINER = ((1, 0.5), (2, 0.25), (2, 0.5), (4, 0.0625))
 """How many times finer than the shipped column's the cells are, and duration [s], of runs whose gradient is priced."""
-CELL, EVERY = 0.375, 5
-"""Of the large terrain: cells [m], frames from one that is kept for the maps to the next."""
+CELL, EVERY = 0.375, 5  # of the large terrain: cells [m], frames from one that is kept for the maps to the next
 BODIES = {2: (0.01, (0.4,), (0.2, 1.5, 15.0)), 3: (0.03, (0.3, 0.3), (0.3, 1.2, 4.8))}
 """By dimension: cells, height (in 3D and width) and lengths of the bodies of which a network makes a step [m]."""
 PER_NODE = "µs per node"
@@ -48,20 +48,17 @@ NETWORK = {"nodes": ",", "forward [s]": ".4f", "with gradient [s]": ".4f", PER_N
 PRICE = {"particles": ",", "steps": ",", "run [s]": ".2f", "gradient [s]": ".2f", "runs per gradient": ".1f"}
 PRICE |= {"memory [MiB]": ".0f"}
 TERRAIN = {"particles": ",", "steps": ",", "before": ".1f", "seconds": ".1f", "maps": ".1f"}
-TERRAIN |= {"memory": ".0f", "disk": ".0f"}
-"""Forms of the columns."""
+TERRAIN |= {"memory": ".0f", "disk": ".0f"}  # forms of the columns
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Workload:
-    """A column on some grid, alone or with copies side by side."""
+    """A row of `speed.toml`: a column on some grid, alone or with copies side by side."""
 
     dimension: int
-    cells: int
-    """Per metre."""
+    cells: int  # per metre
     scenes: int
-    frames: int
-    """That are timed, from the start of the flow."""
+    frames: int  # that are timed, from the start of the flow
 
     @property
     def particles(self) -> int:
@@ -73,21 +70,9 @@ class Workload:
         return f"{self.scenes} x {self.particles:,} particles in {self.dimension}D"
 
 
-CASES = (
-    Workload(dimension=2, cells=100, scenes=1, frames=400),
-    Workload(dimension=2, cells=100, scenes=8, frames=200),
-    Workload(dimension=2, cells=280, scenes=1, frames=20),
-    Workload(dimension=2, cells=560, scenes=1, frames=4),
-    Workload(dimension=2, cells=1770, scenes=1, frames=1),
-    Workload(dimension=3, cells=32, scenes=1, frames=100),
-    Workload(dimension=3, cells=32, scenes=8, frames=50),
-    Workload(dimension=3, cells=64, scenes=1, frames=20),
-    Workload(dimension=3, cells=106, scenes=1, frames=5),
-)
-Mode = tuple[Precision, int]
-"""Precision and threads; no threads: a GPU."""
-Rates = Mapping[tuple[Workload, Mode], Spread]
-"""Million particle-steps a second."""
+CASES, ON_GPU = ([Workload(*row) for row in rows] for rows in read_toml(Path(__file__).with_suffix(".toml")).values())
+Mode = tuple[Precision, int]  # precision and threads; no threads: a GPU
+Rates = Mapping[tuple[Workload, Mode], Spread]  # million particle-steps a second
 
 
 def column(dimension: int, cells: int, frames: int) -> Scene:
@@ -160,9 +145,9 @@ def feature_row(name: str, feature: str, scene: Scene, without: Scene, rounds: i
 
     work = {"with [ns]": scene, "without [ns]": without}
     timed = turns({key: partial(nanoseconds, variant) for key, variant in work.items()}, rounds, name)
-    ratio = Spread([one / other for one, other in zip(*timed.values(), strict=True)])
+    ratio = Spread([one / other for one, other in zip(*(spread.values for spread in timed.values()), strict=True)])
     row = {"scene": f"`{name}`", "particles": f"{particle_count(scene):,}", "feature": feature}
-    return row | {key: f"{Spread(values):.1f}" for key, values in timed.items()} | {"ratio": f"{ratio:.3f}"}
+    return row | {key: f"{spread:.1f}" for key, spread in timed.items()} | {"ratio": f"{ratio:.3f}"}
 
 
 def started(scene: Scene, folder: str) -> float:
@@ -205,7 +190,7 @@ def price(scene: Scene, rounds: int) -> Found:
         "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
         "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1, memory_mib=GRADIENT_MIB)),
     }
-    run, adjoint = (statistics.median(seconds) for seconds in turns(work, rounds, "gradient").values())
+    run, adjoint = (seconds.median for seconds in turns(work, rounds, "gradient").values())
     return {
         "particles": particle_count(scene),
         "steps": simulate(scene, record=LAST, threads=1).summary["steps"],
@@ -288,16 +273,14 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     """
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
-    timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
-    rates = {key: Spread(values) for key, values in timed.items()}
+    rates = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
     features = [feature_row(name, *priced, 3 * rounds) for name, priced in featured().items()]
     whole = read_scene(PRICED)
     finer = [replace(whole.with_cell(whole.domain.cell / times), duration=duration) for times, duration in FINER]
     prices = [isolated(price, scene, rounds) for scene in finer]
     networks = network_rows(rounds=rounds)
     with kept(keep) as folder:
-        place = folder / f"terrain-{Run(scene=slide()).digest}"
-        make_folder(place)
+        make_folder(place := folder / f"terrain-{Run(scene=slide()).digest}")
         large = once(place / "terrain.json", terrain, place)
     return write_page(
         out,
@@ -317,19 +300,49 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     )
 
 
+def gpu(*, out: Out, rounds: Rounds = 2) -> str:
+    """Measure rates over sizes and steps of the networks on a GPU, in turn with all processors of the same machine.
+
+    Raises InputError where there is no GPU.
+    """
+    # Here, because processes that only price a gradient do without PyTorch.
+    from torch import cuda
+
+    if not cuda.is_available():
+        raise InputError("expected a GPU that torch can use, there is none", where="bench gpu")
+    threads = processors()
+    modes: list[Mode] = [("f32", threads), ("f32", 0), ("f64", 0)]
+    rates = turns({(case, mode): partial(rate, case, mode) for mode in modes for case in ON_GPU}, rounds, "rates")
+    beside = [network_rows(rounds=rounds, device=device) for device in ("cpu", "cuda")]
+    gains = {case: rates[case, ("f32", 0)].median / rates[case, ("f32", threads)].median for case in ON_GPU}
+    least, most = sorted(gains, key=gains.__getitem__)[:: len(ON_GPU) - 1]
+    best = {size: max(rates[case, ("f32", 0)].median for case in ON_GPU if case.dimension == size) for size in (2, 3)}
+    on_cpu, on_gpu = ([row[PER_NODE] for row in rows] for rows in beside)
+    said = [
+        f"One {cuda.get_device_name()} computes up to {best[2]:.0f} million particle-steps per second in 2D and"
+        f" {best[3]:.0f} million in 3D.",
+        f"Beside {threads} threads of the same machine it is {gains[least]:.1f} times as fast for {least.text} and"
+        f" {gains[most]:.1f} times for {most.text}.",
+        f"A step of the networks with its gradient takes {between(on_gpu, '.0f')} µs per node on the GPU, and"
+        f" {between(on_cpu, '.0f')} µs on one thread.",
+    ]
+    networks = [row | {f"GPU, {key}": other[key] for key in list(row)[3:]} for row, other in zip(*beside, strict=True)]
+    forms = NETWORK | {f"GPU, {key}": form for key, form in NETWORK.items()}
+    flags, table = f" --rounds {rounds}", rate_rows(rates)
+    return write_page(out, "gpu", said, flags=flags, rates=table, networks=formatted(networks, forms))
+
+
 def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found], large: Found) -> list[str]:
     greatest = max(prices, key=lambda row: float(row["memory [MiB]"]))
     ratios = between([row["runs per gradient"] for row in prices], ".1f")
     steps = between([row[PER_NODE] for row in networks], ".0f")
-    said = []
-    for dimension in (2, 3):
-        best = best_rates(rates, dimension)
-        said.append(
-            f"In {dimension}D the MPM computes {between(best.values(), '.0f')} million particle-steps per second, for"
-            f" {between(best, ',')} particles."
-        )
+    best = {dimension: best_rates(rates, dimension) for dimension in (2, 3)}
     return [
-        *said,
+        *(
+            f"In {dimension}D the MPM computes {between(by_size.values(), '.0f')} million particle-steps per second,"
+            f" for {between(by_size, ',')} particles."
+            for dimension, by_size in best.items()
+        ),
         f"A gradient by the adjoint takes as long as {ratios} runs, for any number of unknowns, and at most"
         f" {greatest['memory [MiB]']:.0f} MiB ({greatest['particles']:,} particles, {greatest['steps']:,} steps).",
         f"A step of the shipped networks with its gradient takes {steps} µs per node, on one thread.",
@@ -348,13 +361,12 @@ def best_rates(rates: Rates, dimension: int) -> dict[int, float]:
 
 
 def rate_rows(rates: Rates) -> list[Row]:
-    rows: list[Row] = []
-    used = sorted({mode for _, mode in rates})
-    for case in sorted({case for case, _ in rates}, key=astuple):
-        row = {"": f"{case.dimension}D", "particles": f"{case.particles:,}", "scenes": str(case.scenes)}
-        for precision, threads in used:
-            place = f"{threads} thread{'s' * (threads > 1)}" if threads else "GPU"
-            spread = rates.get((case, (precision, threads)))
-            row[f"{precision}, {place}"] = f"{spread:.1f}" if spread else "-"
-        rows.append(row)
-    return rows
+    places = {
+        mode: f"{mode[0]}, " + (f"{mode[1]} thread{'s' * (mode[1] > 1)}" if mode[1] else "GPU")
+        for mode in sorted({mode for _, mode in rates})
+    }
+    return [
+        {"": f"{case.dimension}D", "particles": f"{case.particles:,}", "scenes": str(case.scenes)}
+        | {head: f"{rates[case, mode]:.1f}" if (case, mode) in rates else "-" for mode, head in places.items()}
+        for case in sorted({case for case, _ in rates}, key=astuple)
+    ]

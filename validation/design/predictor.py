@@ -25,10 +25,8 @@ from mpm import ALL, LAST, simulate_many
 from validation.design.problem import DesignProblem, Limit
 from validation.design.race import Predict
 
-TOGETHER = 64
-"""Flows of a batch on a GPU, and scenes that are made at a time."""
-COARSER = 2.0
-"""Cells of the MPM that predicts over the scene's."""
+TOGETHER = 64  # flows of a batch on a GPU, and scenes that are made at a time
+COARSER = 2.0  # cells of the MPM that predicts over the scene's
 
 
 def predictor(problem: DesignProblem, simulate: Simulate = simulate_many) -> Predict:

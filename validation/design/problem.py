@@ -34,8 +34,7 @@ from inverse.settings import counted
 DESIGNS = Path(__file__).parent / "problems"
 FORCE_SCATTER = 0.1
 """Standard deviation of a peak force from flow to flow over the limit, before runs have measured it."""
-ASSURANCE = 0.9
-"""Probability with which a design passes its check where the emulator is right."""
+ASSURANCE = 0.9  # probability with which a design passes its check where the emulator is right
 
 
 @dataclass(frozen=True, kw_only=True)

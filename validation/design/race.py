@@ -25,20 +25,13 @@ from inverse.posterior import Matrix, Row
 from validation.design.problem import DesignProblem, with_draws
 from validation.design.search import Checked
 
-Predict = Callable[[Matrix], Row]
-"""All numbers [n, K + Q] in fractions of their ranges -> responses [n]."""
-DESIGNS, FIRST = 64, 16
-"""Designs that fill the box at first, and draws of each."""
-TURN, NEXT = 8, 32
-"""Designs that a round goes on with, and as many new ones; further draws of each."""
-MOST = 512
-"""Draws of a design, at most."""
-SETTLED = 256
-"""Draws from which on a design can win."""
-OUTSIDE = 0.05
-"""Probability that a design which is good enough is out, in a round."""
-SHARES = (0.75, 0.25)
-"""Of the predictions: before the first check, and before a second one."""
+Predict = Callable[[Matrix], Row]  # all numbers [n, K + Q] in fractions of their ranges -> responses [n]
+DESIGNS, FIRST = 64, 16  # designs that fill the box at first, and draws of each
+TURN, NEXT = 8, 32  # designs that a round goes on with, and as many new ones; further draws of each
+MOST = 512  # draws of a design, at most
+SETTLED = 256  # draws from which on a design can win
+OUTSIDE = 0.05  # probability that a design which is good enough is out, in a round
+SHARES = (0.75, 0.25)  # of the predictions: before the first check, and before a second one
 NEAR, NEARER = 0.15, 0.97
 """Of the ranges: deviation of new designs from those that lead at first, and how it shrinks from round to round."""
 

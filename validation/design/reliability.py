@@ -35,12 +35,10 @@ DRAWS = 256
 """Draws of what is uncertain, over which a probability is the mean: of few, a quantile is too near the middle."""
 RIVALS, CANDIDATES = 7, 64
 """Cheaper designs that may keep the limit, at which a wave looks besides the best one; draws at each of them."""
-NEAR = 0.1
-"""Of the ranges: deviation from the best design of half of those among which rivals are looked for."""
+NEAR = 0.1  # of the ranges: deviation from the best design of half of those among which rivals are looked for
 SURE = 0.25
 """Of 1 - p: decrease of P by a mean that is a standard deviation larger, below which further runs decide little."""
-GENERATIONS, POPULATION = 40, 8
-"""Of the search for the best design; members for each variable."""
+GENERATIONS, POPULATION = 40, 8  # of the search for the best design; members for each variable
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,10 +26,8 @@ Respond = Callable[[Matrix, int], Row]
 FIRST = 8
 """First runs, for each number: of ten that are usual (Loeppky, Sacks & Welch, Technometrics 51 (2009) 366-376) two are
 left to the waves."""
-SETTLED = 0.02
-"""Of the range of the cost: change from wave to wave, below which it is the cheapest design's."""
-ROUNDS = 2
-"""Checks, at most: flows of the first inform the emulator where too many exceed."""
+SETTLED = 0.02  # of the range of the cost: change from wave to wave, below which it is the cheapest design's
+ROUNDS = 2  # checks, at most: flows of the first inform the emulator where too many exceed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,8 +21,7 @@ from validation.design.search import Design, designed
 from validation.plots import BLUE, GREY, ORANGE, figure
 from validation.run_store import RunStore, caveats, kept
 
-STATIONS = 25
-"""Along each variable, in the picture."""
+STATIONS = 25  # along each variable, in the picture
 
 
 def find_design(

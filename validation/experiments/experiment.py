@@ -26,36 +26,29 @@ from datasets.schema import Bounds, Record, from_mapping
 FOLDER = Path(__file__).parent
 Floats = NDArray[np.float64]
 
-STATION = 2.0
-"""Distance of a profile's stations in cells."""
-SURFACE_QUANTILE = 0.99
-"""Of the particles' heights in a strip: the surface without the fate of single particles."""
-REPOSE = "repose"
-"""Name of the angle at which a flow stops: mu_s of mu(I)."""
+STATION = 2.0  # distance of a profile's stations in cells
+SURFACE_QUANTILE = 0.99  # of the particles' heights in a strip: the surface without the fate of single particles
+REPOSE = "repose"  # name of the angle at which a flow stops: mu_s of mu(I)
 
 
 class Quantity(StrEnum):
     """What was measured on a deposit."""
 
-    FRONT = "front"
-    RADIUS = "radius"
-    HEIGHT = "height"
-    PROFILE = "profile"
-    RADII = "radii"
+    FRONT = "front"  # x [m] that 99.5 % of the volume is behind; with `thicker_than` where the deposit ends
+    RADIUS = "radius"  # the same share by distance from the vertical axis
+    HEIGHT = "height"  # of the surface [m] next to the wall x = 0
+    PROFILE = "profile"  # root mean square difference of the heights [m], of which the measured value is 0
+    RADII = "radii"  # that of the radius over time
 
 
 @dataclass(frozen=True, kw_only=True)
 class Angle(Record):
     """An angle of friction of the material that was measured by itself, not on the flow."""
 
-    name: str
-    """Such as avalanche or repose."""
-    angle: str = "slope"
-    """How it is read: as `datasets.scene.material.Material.angle`."""
-    lower_deg: float
-    """Smallest value in the sources [deg]."""
-    upper_deg: float
-    """Largest one [deg]."""
+    name: str  # such as avalanche or repose
+    angle: str = "slope"  # how it is read: as `datasets.scene.material.Material.angle`
+    lower_deg: float  # smallest value in the sources [deg]
+    upper_deg: float  # largest one [deg]
     status: Literal["read", "worked out"]
     source: str
 
@@ -78,14 +71,10 @@ class Angle(Record):
 class Grains(Record):
     """How friction grows with the inertial number (`mpm.physics.inertial`)."""
 
-    friction_growth: float
-    """mu_2 - mu_s [-]."""
-    inertial_number: float
-    """I_0 [-]."""
-    grain_diameter: float
-    """[m]."""
-    grain_density: float
-    """[kg/m^3]."""
+    friction_growth: float  # mu_2 - mu_s [-]
+    inertial_number: float  # I_0 [-]
+    grain_diameter: float  # [m]
+    grain_density: float  # [kg/m^3]
     source: str
 
 
@@ -95,10 +84,8 @@ class Reading:
 
     name: str
     deg: float
-    angle: str = "slope"
-    """How it is read."""
-    rate: bool = False
-    """Whether friction grows with the inertial number."""
+    angle: str = "slope"  # how it is read
+    rate: bool = False  # whether friction grows with the inertial number
 
     def __str__(self) -> str:
         read = [self.name, *(["μ(I)"] if self.rate else []), *({self.angle} - {"slope"})]
@@ -110,35 +97,22 @@ class Measured(Record):
     """A measured number, or a measured profile."""
 
     quantity: Quantity
-    """front: x [m] that 99.5 % of the volume is behind, or where the deposit first gets thinner than
-    `thicker_than`; radius: the same share by distance from the vertical axis; height: of the surface [m] next to the
-    wall x = 0; profile: root mean square difference of the heights [m], of which the measured value is 0; radii: that
-    of the radius over time."""
-    value: float = 0.0
-    """[m], from the wall x = 0."""
+    value: float = 0.0  # [m], from the wall x = 0
     spread: Annotated[float, Bounds("a positive length in m", gt=0.0)]
     """One unit of its uncertainty [m]; where sources disagree, half of the band between them, `value` its middle."""
-    spread_from: str = ""
-    """Where the spread comes from."""
+    spread_from: str = ""  # where the spread comes from
     status: Literal["read", "worked out"]
     source: str
-    explanation: str = ""
-    """Why the computation may differ: printed where it does, by more than twice the spread."""
-    thicker_than: float | None = None
-    """Thickness [m] by which the measurement defines a front."""
+    explanation: str = ""  # why the computation may differ: printed where it does, by more than twice the spread
+    thicker_than: float | None = None  # thickness [m] by which the measurement defines a front: where it first is less
     beside_walls: float | None = None
     """In 3D, width [m] of the strips along both side walls over which a front by thickness is measured, as by a camera
     that looks through a wall. The whole width where absent."""
-    within: float | None = None
-    """Strip [m] next to the wall over which a height is measured."""
-    x: tuple[float, ...] = ()
-    """Where the heights of a profile were measured [m], ascending."""
-    heights: tuple[float, ...] = ()
-    """Of the surface at `x` [m]."""
-    times: tuple[float, ...] = ()
-    """When radii were measured [s]."""
-    radii: tuple[float, ...] = ()
-    """At `times` [m]."""
+    within: float | None = None  # strip [m] next to the wall over which a height is measured
+    x: tuple[float, ...] = ()  # where the heights of a profile were measured [m], ascending
+    heights: tuple[float, ...] = ()  # of the surface at `x` [m]
+    times: tuple[float, ...] = ()  # when radii were measured [s]
+    radii: tuple[float, ...] = ()  # at `times` [m]
 
     @property
     def single(self) -> bool:
@@ -163,12 +137,9 @@ class Case(Record):
     """A scene and what was measured in it."""
 
     name: str
-    scene: str
-    """File of the scene, beside the experiment."""
-    cells: tuple[float, float] | None = None
-    """Its own grid cells [m]; the experiment's where absent."""
-    measured: tuple[Measured, ...]
-    """The first one is a front or a radius: an angle is inferred from it."""
+    scene: str  # file of the scene, beside the experiment
+    cells: tuple[float, float] | None = None  # its own grid cells [m]; the experiment's where absent
+    measured: tuple[Measured, ...]  # the first one is a front or a radius: an angle is inferred from it
 
     def __post_init__(self) -> None:
         extent = bool(self.measured) and self.extent.quantity in (Quantity.FRONT, Quantity.RADIUS)
@@ -185,8 +156,7 @@ class Variant(Record):
     """What a prediction is computed with, where sources differ."""
 
     name: str
-    consolidation: Annotated[float, Bounds("a positive coefficient in m^2/s", gt=0.0)]
-    """c_v [m^2/s]."""
+    consolidation: Annotated[float, Bounds("a positive coefficient in m^2/s", gt=0.0)]  # c_v [m^2/s]
     source: str
 
 
@@ -195,12 +165,9 @@ class Prediction(Record):
     """A scene with no measured number beside it: when its flow arrives at gauges, and how thick it is there."""
 
     name: str
-    scene: str
-    """File of the scene, beside the experiment."""
-    start: float
-    """The x of the scene from which distances count [m]."""
-    gauges: tuple[float, ...]
-    """Their distances [m]."""
+    scene: str  # file of the scene, beside the experiment
+    start: float  # the x of the scene from which distances count [m]
+    gauges: tuple[float, ...]  # their distances [m]
     spacing: Annotated[float, Bounds("a positive length in m", gt=0.0)]
     """Half width over which they take the mean thickness [m]."""
     variants: tuple[Variant, ...]
@@ -216,20 +183,16 @@ class Experiment(Record):
     licence: str
     angles: tuple[Angle, ...] = ()
     """The material's own; the first is the one to compute with. None: an angle is inferred, nothing is predicted."""
-    grains: Grains | None = None
-    """How their friction grows with the rate; nothing is known of it where absent."""
-    cells: tuple[float, float]
-    """Grid cells, the coarse and the fine one [m]."""
+    grains: Grains | None = None  # how their friction grows with the rate; nothing is known of it where absent
+    cells: tuple[float, float]  # grid cells, the coarse and the fine one [m]
     cases: tuple[Case, ...] = ()
     predictions: tuple[Prediction, ...] = ()
     assumptions: tuple[dict[Literal["what", "choice", "reason"], str], ...] = ()
     """The choices for what the authors do not state."""
-    folder: Path = FOLDER
-    """Where its file and its scenes lie."""
+    folder: Path = FOLDER  # where its file and its scenes lie
 
     @property
     def name(self) -> str:
-        """Of its folder."""
         return self.folder.name
 
     @property

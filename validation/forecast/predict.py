@@ -40,12 +40,9 @@ from mpm import LAST, Recording
 from validation.loop.verdict import OTHER_CELLS
 from validation.run_store import RunStore, caveats
 
-FRAMES = 50
-"""Frames of a flow that are kept at most where its peaks are wanted."""
-CHECKS = 2
-"""Runs on the cells of the scene, and on others, by which that error is measured."""
-LEVELS = {"interval": 0.95, "half": 0.5}
-"""Keys of intervals in `forecast.json`, and their probabilities."""
+FRAMES = 50  # frames of a flow that are kept at most where its peaks are wanted
+CHECKS = 2  # runs on the cells of the scene, and on others, by which that error is measured
+LEVELS = {"interval": 0.95, "half": 0.5}  # keys of intervals in `forecast.json`, and their probabilities
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,24 +50,17 @@ class Forecast:
     """What the posterior of an answer predicts of a scene: S draws of U unknowns."""
 
     scene: Scene
-    names: tuple[str, ...]
-    """Of the unknowns that the scene has too."""
-    draws: Floats
-    """Their values in the units of their names, shape [S, U]."""
+    names: tuple[str, ...]  # of the unknowns that the scene has too
+    draws: Floats  # their values in the units of their names, shape [S, U]
     numbers: Mapping[str, Floats]
     """By the MPM: `front` and `mean_height` [m], `force NAME` on each solid [N, in 2D N/m]; shape [S] each."""
-    start: float = 0.0
-    """f_0 of the front [m]."""
-    stations: Floats
-    """x of the profile [m], on the map where the box of the scene has an origin, shape [X]."""
-    profiles: Floats
-    """Height of the deposit at its initial density [m], in 3D its mean over the width, shape [S, X]."""
+    start: float = 0.0  # f_0 of the front [m]
+    stations: Floats  # x of the profile [m], on the map where the box of the scene has an origin, shape [X]
+    profiles: Floats  # height of the deposit at its initial density [m], in 3D its mean over the width, shape [S, X]
     cells: Mapping[str, float] = field(default_factory=dict)
     """d of each number, by its name; none where the box does not divide into other cells."""
-    model_error: float = 0.0
-    """r [-]."""
-    maps: PlanMaps | None = None
-    """In 3D those of the last draw: where the maps below lie."""
+    model_error: float = 0.0  # r [-]
+    maps: PlanMaps | None = None  # in 3D those of the last draw: where the maps below lie
     covered: Mapping[str, Floats] = field(default_factory=dict)
     """In 3D the probability of more than the threshold of `thickness`, `depth` or `pressure`, shape [X, Z] each."""
     remarks: tuple[str, ...] = ()
@@ -90,11 +80,11 @@ class Forecast:
 
     def as_json(self) -> dict[str, Any]:
         """`forecast.json`."""
-        numbers = {}
+        numbers, force = {}, "N/m" if self.scene.dimension == 2 else "N"
         for name, values in self.predicted.items():
             ends = {key: quantiles(values, level) for key, level in LEVELS.items()}
             intervals = {key: [low, high] for key, (low, _, high) in ends.items()}
-            about = {"cells": self.cells.get(name), "unit": unit(name, self.scene)}
+            about = {"cells": self.cells.get(name), "unit": force if name.startswith("force ") else "m"}
             numbers[name] = {"median": ends["interval"][1]} | intervals | about
         low, middle, high = quantiles(self.profiles, LEVELS["interval"])
         profile = {"x": self.stations, "median": middle, "lower": low, "upper": high}
@@ -107,11 +97,6 @@ class Forecast:
             "flows": {name: values.tolist() for name, values in self.numbers.items()},
             "remarks": list(self.remarks),
         }
-
-
-def unit(name: str, scene: Scene) -> str:
-    """Of a number of a forecast."""
-    return ("N/m" if scene.dimension == 2 else "N") if name.startswith("force ") else "m"
 
 
 def quantiles(values: Floats, level: float) -> list[Any]:
@@ -145,7 +130,15 @@ def predicted(
     flows = store(scenes, record=record)
     numbers, stations = [numbers_of(flow) for flow in flows], profile_stations(scene, scene.domain.cell)
     released, corner = initial_particles(scene), float(scene.domain.corner[0])
-    forecast = Forecast(
+    maps: PlanMaps | None = None
+    covered: dict[str, Floats] = {}
+    for flow in flows if scene.dimension == 3 else ():
+        maps = maps_of(flow, scene.domain.cell, threshold=threshold)
+        hit = {"thickness": maps.thickness > maps.threshold, "depth": maps.depth > maps.threshold}
+        if pressure is not None and maps.velocity is not None:
+            hit["pressure"] = scene.material.density * maps.velocity**2 > pressure
+        covered = {name: covered.get(name, 0.0) + where / len(flows) for name, where in hit.items()}
+    return Forecast(
         scene=scene,
         names=tuple(names),
         draws=chosen,
@@ -155,9 +148,10 @@ def predicted(
         profiles=np.stack([profile_of(flow, stations) for flow in flows]),
         cells=cells_error(scene, names, np.median(samples, axis=0), store, record),
         model_error=model_error,
+        maps=maps,
+        covered=covered,
         remarks=(*remarks, *caveats(flows), *filter(None, [flows[0].summary.get("drainage")])),
     )
-    return forecast if scene.dimension == 2 else with_maps(forecast, flows, threshold, pressure)
 
 
 def recording_of(scene: Scene) -> Recording:
@@ -230,17 +224,3 @@ def cells_error(
     parts = (flows[:CHECKS], flows[CHECKS:])
     here, there = ({name: float(np.mean([entry[name] for entry in part])) for name in part[0]} for part in parts)
     return {name: abs(edge / (edge - other) * (here[name] - there[name])) for name in here}
-
-
-def with_maps(
-    forecast: Forecast, flows: Sequence[Trajectory], threshold: float | None, pressure: float | None
-) -> Forecast:
-    """The forecast with its maps of probability."""
-    counts: dict[str, Floats] = {}
-    for flow in flows:
-        maps = maps_of(flow, forecast.scene.domain.cell, threshold=threshold)
-        hit = {"thickness": maps.thickness > maps.threshold, "depth": maps.depth > maps.threshold}
-        if pressure is not None and maps.velocity is not None:
-            hit["pressure"] = forecast.scene.material.density * maps.velocity**2 > pressure
-        counts = {name: counts.get(name, 0.0) + where / len(flows) for name, where in hit.items()}
-    return replace(forecast, maps=maps, covered=counts)

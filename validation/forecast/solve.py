@@ -21,11 +21,9 @@ from validation.forecast.predict import LEVELS, Forecast, predicted, quantiles
 from validation.plots import BLUE, GREY, LIGHT_BLUE, ORANGE, figure
 from validation.run_store import RunStore, kept
 
-DRAWS = 40
-"""Of the posterior: the least and the largest of so many flows are the ends of an interval of 95 %."""
+DRAWS = 40  # of the posterior: the least and the largest of so many flows are the ends of an interval of 95 %
 MOST_DRAWS = 10_000
-ON_MAP = 1.0e4
-"""Fronts [m] from here on are eastings: four digits would not tell one from another."""
+ON_MAP = 1.0e4  # fronts [m] from here on are eastings: four digits would not tell one from another
 
 
 def forecast_scene(

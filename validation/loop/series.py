@@ -31,8 +31,7 @@ from mpm import simulate, simulate_many
 from validation.loop.solve import Known, solve
 
 RESULT = "result.json"
-ENDS = (" from", " to")
-"""What follows the name of an unknown, of the columns of its interval."""
+ENDS = (" from", " to")  # what follows the name of an unknown, of the columns of its interval
 
 
 def solve_series(
@@ -64,7 +63,12 @@ def solve_series(
             solve(deposit, folder, model=model, simulate=simulate, known=runs)
         result = json.loads((folder / RESULT).read_text())
         rows.append(row(name, result))
-        runs += runs_of(folder, result)
+        # On the cells of the problem.
+        runs += [
+            (np.array(list(run["unknowns"].values())), Trajectory.load(folder / run["file"]))
+            for run in result["mpm_runs"]
+            if run["purpose"] != "cells"
+        ]
         write(out, asked, rows, len(deposits))
     return rows
 
@@ -99,15 +103,6 @@ def of_deposit(problem: Problem, path: Path) -> Problem:
         unmeasured = [replace(settings, csv=str(path.absolute()))]
     scene = replace(problem.scene, seed=jitter_seed(problem.scene.seed, zlib.crc32(path.stem.encode())))
     return replace(problem, name=path.stem, scene=scene, observations=tuple(unmeasured), target=target)
-
-
-def runs_of(folder: Path, result: Mapping[str, Any]) -> list[Known]:
-    """The runs of the MPM that a deposit took, on the cells of the problem."""
-    return [
-        (np.array(list(run["unknowns"].values())), Trajectory.load(folder / run["file"]))
-        for run in result["mpm_runs"]
-        if run["purpose"] != "cells"
-    ]
 
 
 def row(name: str, result: Mapping[str, Any]) -> dict[str, Any]:

@@ -35,12 +35,10 @@ from validation.loop.task import Loop, Task
 from validation.loop.verdict import Conclusion, concluded, judged, nearer
 from validation.run_store import RunStore, kept
 
-Known = tuple[Vector, Trajectory]
-"""Parameters [U], and the flow of the MPM there."""
+Known = tuple[Vector, Trajectory]  # parameters [U], and the flow of the MPM there
 RUNS, TWIN = "mpm", "target-"
 """Folder of the MPM runs beside the result; what the file of a twin's own run begins with."""
-SUGGESTED = 6
-"""Measurements that are suggested."""
+SUGGESTED = 6  # measurements that are suggested
 
 
 def solve(

@@ -33,14 +33,11 @@ from validation.loop.task import Loop, Task
 from validation.loop.verdict import checked
 from validation.run_store import RunStore
 
-JITTER = 0
-"""Jitter seed of the flows that it predicts."""
-WIDEST = 0.2
-"""Share of a flow's extent, up to which its 95 % band may be: a wider one excludes little of a box."""
+JITTER = 0  # jitter seed of the flows that it predicts
+WIDEST = 0.2  # share of a flow's extent, up to which its 95 % band may be: a wider one excludes little of a box
 OUTERMOST = 0.2
 """Share of the fall of the likelihood from its top to the edge of a region, within which a sample lies at the edge."""
-QUICKEST = 0.1
-"""Seconds of a prediction at least: where even that costs too much, no weights are read."""
+QUICKEST = 0.1  # seconds of a prediction at least: where even that costs too much, no weights are read
 
 
 def choose(task: Task, model: Path | None = None) -> tuple[Forward | None, str]:

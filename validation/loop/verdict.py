@@ -20,18 +20,13 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.search.inference import narrowed, parts_of
 from validation.loop.task import Loop, Task
 
-CLOSE = 0.35
-"""Of a half-width: checks this close to an answer are checks of it."""
-AT_BOUND = 0.02
-"""Distance from a bound, as a fraction of the range, at which parameters lie at it."""
+CLOSE = 0.35  # of a half-width: checks this close to an answer are checks of it
+AT_BOUND = 0.02  # distance from a bound, as a fraction of the range, at which parameters lie at it
 EXCLUDED = 1e-3
 """Probability of the nearest fit of all, at a bound, below which no parameters between the bounds give the target."""
-SETTLED = 0.05
-"""Change of the factor of a discrepancy, over it, that widens or narrows no interval."""
-NEGLIGIBLE = 0.1
-"""Share of the variance of residuals, below which a source of it explains none of a misfit."""
-OTHER_CELLS = {2: 0.5, 3: 2.0}
-"""Of the scene's, by dimension: those by which the error of the cells is measured."""
+SETTLED = 0.05  # change of the factor of a discrepancy, over it, that widens or narrows no interval
+NEGLIGIBLE = 0.1  # share of the variance of residuals, below which a source of it explains none of a misfit
+OTHER_CELLS = {2: 0.5, 3: 2.0}  # of the scene's, by dimension: those by which the error of the cells is measured
 
 
 @dataclass(frozen=True, kw_only=True)

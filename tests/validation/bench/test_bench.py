@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from datasets import Scene
-from datasets.errors import InputError, WorkFailed
+from datasets.errors import WorkFailed
 from datasets.lock import locked
+from tests.refusals import refused
 from validation.bench import gns as bench_gns
 from validation.bench import speed
 from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
 from validation.bench.mountain import sliding_point, written_scene
-from validation.bench.speed import feature_row, featured, mean_x, started_row
+from validation.bench.speed import feature_row, featured
 from validation.run_store import kept
 
 
@@ -47,9 +48,7 @@ def test_a_folder_without_its_raster_is_named(tmp_path: Path) -> None:
     data = tmp_path / "CoulombOnly"
     data.mkdir()
     (data / "simulationParameterValues_CoulombOnly.csv").write_text("releaseThickness,mu,xi\n1.5,0.4,\n")
-    with pytest.raises(InputError, match=r"expected one file DEM_\*\.\*, there are 0") as caught:
-        written_scene(data, 4.0, tmp_path)
-    assert str(data) in str(caught.value)
+    assert refused(written_scene, data, 4.0, tmp_path, said="expected one file DEM_*.*, there are 0").where == str(data)
 
 
 @pytest.mark.slow
@@ -73,25 +72,6 @@ def test_baffles_are_priced_beside_the_same_scene_without_them(monkeypatch: pyte
     monkeypatch.setattr(speed, "simulate", simulate)
     row = feature_row("short", *featured()["column-short-21"], 2)
     assert [*row.values()] == ["`short`", "3,200", "1 baffle", "30.0", "20.0", "1.500"]
-
-
-def test_the_second_run_finds_the_kernels_of_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    def isolated(work: object, scene: Scene, folder: str) -> float:
-        seconds = 0.5 if any(Path(folder).iterdir()) else 9.0
-        Path(folder, "kernel").touch()
-        return seconds
-
-    monkeypatch.setattr(speed, "isolated", isolated)
-    row = {"scene": "`valley-3d` (3D)", "first run [s]": "9.0", "second run [s]": "0.5"}
-    assert started_row("valley-3d") == row
-
-
-def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:
-    positions = np.random.default_rng(0).random((1, 5, 2))
-    value, slope, _ = mean_x(positions, positions)
-    moved = positions.copy()
-    moved[0, 3, 0] += 1e-6
-    assert (mean_x(moved, moved)[0] - value) / 1e-6 == pytest.approx(slope[0, 3, 0])
 
 
 @pytest.mark.skipif(shutil.which("nvidia-smi") is not None, reason="there may be a GPU here")

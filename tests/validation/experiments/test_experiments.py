@@ -134,11 +134,11 @@ def test_forward_and_backward_of_a_formula(shelf: Path) -> None:
     (experiment,) = read_experiments(shelf)
     ((score, other),), inferred = compute(experiment, experiment.cases[0], deposits)
     assert inferred is not None
-    assert score.angle == "25.0° (avalanche)"
+    assert str(score.reading) == "25.0° (avalanche)"
     assert (score.coarse, score.fine) == pytest.approx((0.98 * 0.5, 0.5), abs=1e-5)
     assert score.error == pytest.approx(-4.0, abs=1e-3)
     assert not score.agrees
-    assert other.angle == "20.0° (repose, μ(I))"
+    assert str(other.reading) == "20.0° (repose, μ(I))"
     assert other.error == pytest.approx((0.98 * 0.55 - 0.52) / 0.005, abs=1e-3)
     # 20 mm further than at 25 degrees: 2 degrees less, by the slope of the coarse cells; twice 5 mm are a degree.
     assert inferred.deg == pytest.approx(25.0 - 0.02 / 0.0098, abs=1e-3)

@@ -22,10 +22,8 @@ from validation.forecast.solve import in_scene
 from validation.run_store import RunStore
 
 SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), duration=0.1, frame_dt=0.05, floor_friction=0.4)
-MEAN, DEVIATION = 30.0, 1.5
-"""Of the posterior of the friction angle [deg]."""
-SCATTER = 0.004
-"""Of fronts by the jitter [m]."""
+MEAN, DEVIATION = 30.0, 1.5  # of the posterior of the friction angle [deg]
+SCATTER = 0.004  # of fronts by the jitter [m]
 
 
 class Slabs:

@@ -30,8 +30,7 @@ PARTICLES = 600
 # Quantiles of a wedge: the deposit thins out towards its front.
 SHAPE = 1.0 - np.sqrt(1.0 - (np.arange(PARTICLES) + 0.5) / PARTICLES)
 FRONT = front(SHAPE[:, None])
-WIDTH = 4.0
-"""Of the bounds of each velocity [m/s]."""
+WIDTH = 4.0  # of the bounds of each velocity [m/s]
 
 
 def length(friction_deg: Any) -> Any:
@@ -54,15 +53,11 @@ def at_rest(x: NDArray[np.float64], scene: Scene) -> Trajectory:
 class FakeMpm:
     """Deposits by the formula, with a scatter that depends on the jitter seed."""
 
-    scatter: float = 0.0
-    """[m]."""
-    uneven: float = 1.0
-    """The scatter above 30 degrees over that below."""
-    shortened: float = 0.0
-    """By what share of its length per metre of a cell, a deposit is shorter [1/m]."""
+    scatter: float = 0.0  # [m]
+    uneven: float = 1.0  # the scatter above 30 degrees over that below
+    shortened: float = 0.0  # by what share of its length per metre of a cell, a deposit is shorter [1/m]
     killed_after: int = 10**6
-    scenes: list[Scene] = field(default_factory=list)
-    """All that was simulated."""
+    scenes: list[Scene] = field(default_factory=list)  # all that was simulated
 
     def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
         flows = []
@@ -106,11 +101,9 @@ class TwinAngles(FakeMpm):
 class Layers(FakeMpm):
     """Particles moved along x by each layer's velocity and by its neighbours'."""
 
-    count: int = 2
-    """Layers."""
+    count: int = 2  # layers
     particles: int = 600
-    bend: float = 0.0
-    """[m s^2/m^2]."""
+    bend: float = 0.0  # [m s^2/m^2]
 
     def __post_init__(self) -> None:
         index = (np.arange(self.particles) + 0.5) / self.particles
@@ -135,8 +128,7 @@ class Formula:
 
     observation: Observation
     factor: float = 1.0
-    band: float = 0.05
-    """Of its length, of 95 of 100 deposits."""
+    band: float = 0.05  # of its length, of 95 of 100 deposits
 
     def x(self, angle: Tensor) -> Tensor:
         """Of the particles [m], shape [N]."""

@@ -22,8 +22,7 @@ from validation.loop.__main__ import main
 
 pytestmark = pytest.mark.slow
 
-TRUTH = 24.2
-"""Friction angle of the measured column [deg]."""
+TRUTH = 24.2  # friction angle of the measured column [deg]
 HEAD = {"scene": "scene.toml", "surrogate": "none"}
 ANGLE = {
     "scene": "column-tall-42",

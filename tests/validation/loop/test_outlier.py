@@ -28,8 +28,7 @@ from validation.loop.task import Task
 
 TIMES = np.array([0.06, 0.12, 0.18, 0.24, 0.30, 0.40, 0.60, 1.00])
 NOISE, FRICTION, SPEED = 0.005, 0.4, 1.5
-DOF = 4.0
-"""Of Student's noise."""
+DOF = 4.0  # of Student's noise
 NAMES = ("masses[0].velocity_x", "floor_friction")
 BOUNDS = {NAMES[0]: (0.5, 2.2), NAMES[1]: (0.2, 0.7)}
 
@@ -38,6 +37,10 @@ def moved(time: Floats, speed: Floats, friction: Floats) -> Floats:
     """Distance [m] at times [s]: v0 t - mu g t^2 / 2 until it stops."""
     sliding = np.minimum(time, speed / (friction * 9.81))
     return np.asarray(speed * sliding - 0.5 * friction * 9.81 * sliding**2)
+
+
+LATE = 0.3 + moved(np.maximum(TIMES - 0.035, 0.0), np.array(SPEED), np.array(FRICTION))
+RIGHT = 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION))
 
 
 def slide(scenes: Sequence[Scene], /, *, record: Recording = ALL, cells: float = 0.0) -> list[Trajectory]:
@@ -104,10 +107,8 @@ def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
     tmp_path: Path, off: float, unknowns: int
 ) -> None:
     """With two unknowns and + 150 mm the least squares are at (1.705, 0.481), the median at (1.729, 0.500)."""
-    truth = moved(TIMES, np.array(SPEED), np.array(FRICTION))
-    values, names = 0.3 + truth + off * (TIMES == 0.30), NAMES[:unknowns]
-    problem = problem_of(tmp_path, values, names)
-    result = solved(problem, tmp_path)
+    values = RIGHT + off * (TIMES == 0.30)
+    result = solved(problem_of(tmp_path, values, NAMES[:unknowns]), tmp_path)
     fit, (axes, fronts) = result.answers[0].fit, grid(unknowns)
     squares = ((fronts - values) ** 2).sum(axis=-1) / NOISE**2
     birge = np.sqrt(squares.min() / (len(TIMES) - unknowns))
@@ -118,15 +119,10 @@ def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
     assert list(fit.outliers) == [4]
 
 
-LATE = 0.3 + moved(np.maximum(TIMES - 0.035, 0.0), np.array(SPEED), np.array(FRICTION))
-RIGHT = 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION))
-
-
 @pytest.mark.parametrize(("values", "fits"), [(RIGHT, True), (LATE, False)])
 def test_errors_of_the_cells_hide_no_late_clock(tmp_path: Path, values: Floats, fits: bool) -> None:
     """Cells err by more than four times the noise, but smoothly: a clock 35 ms late is a misfit all the same."""
-    problem = problem_of(tmp_path, values, NAMES[:1])
-    result = solved(problem, tmp_path, partial(slide, cells=1.5))
+    result = solved(problem_of(tmp_path, values, NAMES[:1]), tmp_path, partial(slide, cells=1.5))
     fit = result.answers[0].fit
     assert fit.cells > 4.0 * fit.noise
     assert list(fit.outliers) == []
@@ -143,8 +139,7 @@ def test_errors_of_the_cells_hide_no_late_clock(tmp_path: Path, values: Floats, 
     ("unknowns", "off"), [(1, -0.05), *(pytest.param(2, off, marks=pytest.mark.slow) for off in (-0.05, 0.05))]
 )
 def test_an_outlier_of_robust_noise_moves_nothing(tmp_path: Path, unknowns: int, off: float) -> None:
-    truth = np.array([SPEED, FRICTION][:unknowns])
-    values = 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION)) + off * (TIMES == 0.30)
+    truth, values = np.array([SPEED, FRICTION][:unknowns]), RIGHT + off * (TIMES == 0.30)
     problem = problem_of(tmp_path, values, NAMES[:unknowns])
     seen = replace(problem.observations[0], noise=Student(dof=DOF, deviation=NOISE))
     problem = replace(problem, observations=(seen,))
@@ -158,7 +153,7 @@ def test_an_outlier_of_robust_noise_moves_nothing(tmp_path: Path, unknowns: int,
 
 def test_a_report_lists_every_number_names_outliers_and_says_which_data_matter(tmp_path: Path) -> None:
     """Fronts that tell the speed, and one that tells it ten times as badly: the first matter, it does not."""
-    values = 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION)) + 0.05 * (TIMES == 0.30)
+    values = RIGHT + 0.05 * (TIMES == 0.30)
     problem = problem_of(tmp_path, values, NAMES[:1])
     seen = replace(problem.observations[0], noise=Student(dof=DOF, deviation=NOISE))
     poor = FrontSettings(name="glance", times=(0.5,), values=(float(values[-2]),), noise=10.0 * NOISE)
@@ -172,7 +167,7 @@ def test_a_report_lists_every_number_names_outliers_and_says_which_data_matter(t
     fronts, _ = residuals(result)
     assert fronts.standardised[4] == pytest.approx(10.0, rel=0.1)
     assert np.abs(np.delete(fronts.standardised, 4)).max() < 1.0
-    assert np.all(fronts.lower < 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION)))
+    assert np.all(fronts.lower < RIGHT)
     widths = {name: by_unknown[NAMES[0]] for name, by_unknown in result.without.items()}
     assert widths["glance"] == pytest.approx(widths["none"], rel=0.15)
     assert widths["front"] > 5.0 * widths["none"]
@@ -185,18 +180,16 @@ def test_a_report_lists_every_number_names_outliers_and_says_which_data_matter(t
 
 def test_a_clock_that_starts_late_is_an_unknown(tmp_path: Path) -> None:
     """Speed and clock of the block by its fronts over time, beside the exact posterior over both."""
-    late = -0.035
-    values = 0.3 + moved(np.maximum(TIMES + late, 0.0), np.array(SPEED), np.array(FRICTION))
-    problem = problem_of(tmp_path, values, NAMES[:1])
+    problem = problem_of(tmp_path, LATE, NAMES[:1])
     clock = Parameter(name="time_offset", initial=0.0, lower=-0.1, upper=0.1)
     problem = replace(problem, parameters=(*problem.parameters, clock))
     result = solved(problem, tmp_path)
     assert result.verdict is Verdict.CONFIRMED
-    assert result.answers[0].holds(np.array([SPEED, late])).all()
+    assert result.answers[0].holds(np.array([SPEED, -0.035])).all()
     shares = (np.arange(600) + 0.5) / 600
     speed, offset = 0.5 + 1.7 * shares, -0.1 + 0.2 * shares
     times = np.maximum(TIMES + offset[:, None], 0.0)
-    squares = (((0.3 + moved(times, speed[:, None, None], np.array(FRICTION)) - values) / NOISE) ** 2).sum(axis=-1)
+    squares = (((0.3 + moved(times, speed[:, None, None], np.array(FRICTION)) - LATE) / NOISE) ** 2).sum(axis=-1)
     assert apart(result, quantiles((speed, offset), -0.5 * squares)) < 0.25
 
 

@@ -270,8 +270,7 @@ def test_a_ridge_of_answers_is_one_ambiguous_answer(tmp_path: Path) -> None:
     assert np.ptp(result.samples[:, 0]) > 20.0
 
 
-NOISE, PER_DEGREE = 0.06, 0.0164
-"""Of the front [m], and how much of it a degree is."""
+NOISE, PER_DEGREE = 0.06, 0.0164  # of the front [m], and how much of it a degree is
 
 
 def case_of(folder: Path, prior: Prior, **changes: float) -> Case:

@@ -26,20 +26,15 @@ from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.bench.page import Keep, Out, emphasised, percent, tables, write_page
 from validation.run_store import SHARE, Run, RunStore, kept
 
-TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)
-"""The resolution that each selects is shown."""
-TRIED = (0.2, 0.1, 0.05)
-"""These are tried on scenes that were not measured."""
-REFERENCE = {2: 56.0, 3: 48.0}
-"""Cells of their references across the smallest side, by dimension."""
-SEED = 7
-"""Of what is tried: not one of those that were measured."""
+TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)  # the resolution that each selects is shown
+TRIED = (0.2, 0.1, 0.05)  # these are tried on scenes that were not measured
+REFERENCE = {2: 56.0, 3: 48.0}  # cells of their references across the smallest side, by dimension
+SEED = 7  # of what is tried: not one of those that were measured
 
 
 SHIPPED = {2: (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), 3: (5.0, 7.0, 10.0, 14.0, 18.0, 24.0)}
 """Cells across the smallest side with which `mpm/resolution.toml` is measured, by dimension, as all that follow."""
-CHECKED = {2: (7.0, 14.0), 3: (5.0,)}
-"""Where another step, 0.4, and other particles per axis, 3, are tried too."""
+CHECKED = {2: (7.0, 14.0), 3: (5.0,)}  # where another step, 0.4, and other particles per axis, 3, are tried too
 SHIPPED_REFERENCE, SHIPPED_SEEDS = {2: 80.0, 3: 48.0}, {2: 3, 3: 2}
 
 
@@ -65,19 +60,14 @@ def deposit_of(flow: Trajectory) -> Deposit:
 class Error:
     """Of the runs of a scene at a resolution, one per jitter."""
 
-    errors: tuple[float, ...]
-    """Over the extent [-]."""
-    thickness: tuple[float, ...]
-    """`measures.Errors.thickness` [-]."""
-    seconds: float
-    """Of a run, of the time of all that ran beside it."""
+    errors: tuple[float, ...]  # over the extent [-]
+    thickness: tuple[float, ...]  # `measures.Errors.thickness` [-]
+    seconds: float  # of a run, of the time of all that ran beside it
     particle_steps: float
 
 
-Errors = Mapping[Resolution, Mapping[str, Error]]
-"""By resolution and name of the scene."""
-Limits = Mapping[int, Mapping[Resolution, float]]
-"""The bound of each measured resolution, by dimension."""
+Errors = Mapping[Resolution, Mapping[str, Error]]  # by resolution and name of the scene
+Limits = Mapping[int, Mapping[Resolution, float]]  # the bound of each measured resolution, by dimension
 
 
 def own(cells: float, *, step_fraction: float = OWN_STEP, particles_per_axis: int = 2) -> Resolution:
@@ -117,7 +107,6 @@ def rms(errors: Mapping[str, Error], what: str = "errors") -> float:
 
 
 def mean_seconds(errors: Mapping[str, Error]) -> float:
-    """Of a run, over the scenes."""
     return float(np.mean([entry.seconds for entry in errors.values()]))
 
 
@@ -187,7 +176,7 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
     with kept(keep) as folder:
         store = RunStore(folder, partial(simulate_many, arch=arch))
         if ship:
-            every: list[MeasuredResolution] = []
+            every = list[MeasuredResolution]()
             for d, sizes in SHIPPED.items():
                 tried = [own(cells) for cells in sizes]
                 for cells in CHECKED[d]:

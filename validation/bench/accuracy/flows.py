@@ -15,13 +15,10 @@ from datasets.scene.material import Material
 from datasets.schema import Record, from_mapping
 
 GRAVITY = 9.81
-FRAMES = 20
-"""Of a run: only the last one is used."""
-OWN_CELLS = 20
-"""Cells across S of a scene; a resolution replaces them."""
+FRAMES = 20  # of a run: only the last one is used
+OWN_CELLS = 20  # cells across S of a scene; a resolution replaces them
 OWN_STEP = 0.9
-ROOM = 1.2
-"""Least height of the box over that of the mass."""
+ROOM = 1.2  # least height of the box over that of the mass
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,38 +26,24 @@ class MeasuredFlow(Record):
     """A mass that is released or thrown, in numbers without units."""
 
     name: str = ""
-    unseen: bool = False
-    """Whether `--tolerance` is tried on it, not measured."""
-    aspect: float
-    """Height over length."""
+    unseen: bool = False  # whether `--tolerance` is tried on it, not measured
+    aspect: float  # height over length
     friction_deg: float
-    floor: float = 0.385
-    """Coulomb coefficient of the floor, and of the baffles."""
-    wall: float = 0.0
-    """Of all other walls; the left one is a plane of symmetry where it is smooth."""
-    cohesion: float = 0.0
-    """In rho g H; half of it is the tension cutoff."""
+    floor: float = 0.385  # Coulomb coefficient of the floor, and of the baffles
+    wall: float = 0.0  # of all other walls; the left one is a plane of symmetry where it is smooth
+    cohesion: float = 0.0  # in rho g H; half of it is the tension cutoff
     damping: float = 0.0
-    velocity: float = 0.0
-    """Along x, in sqrt(g H)."""
-    gap: float = 0.0
-    """From the left wall to the mass, in S."""
-    depth: float = 0.0
-    """Along z, in S; 0 in 2D."""
-    walls_apart: float = 0.0
-    """Along z, in S; as far as along x where 0."""
-    box: float = 10.0
-    """Length of the box, in S."""
+    velocity: float = 0.0  # along x, in sqrt(g H)
+    gap: float = 0.0  # from the left wall to the mass, in S
+    depth: float = 0.0  # along z, in S; 0 in 2D
+    walls_apart: float = 0.0  # along z, in S; as far as along x where 0
+    box: float = 10.0  # length of the box, in S
     baffles: tuple[tuple[float, float, float, float], ...] = ()
     """x of the face, length, height and, in 3D, z of the near face of baffles [S]; as wide as long."""
-    duration: float = 6.0
-    """In sqrt(H / g)."""
-    smallest: float = 0.1
-    """S [m]."""
-    density: float = 1800.0
-    """[kg/m^3]."""
-    stiffness: float = 150.0
-    """Young's modulus in rho g H: the foot of a column gives by half a per cent."""
+    duration: float = 6.0  # in sqrt(H / g)
+    smallest: float = 0.1  # S [m]
+    density: float = 1800.0  # [kg/m^3]
+    stiffness: float = 150.0  # Young's modulus in rho g H: the foot of a column gives by half a per cent
 
     @property
     def dimension(self) -> int:

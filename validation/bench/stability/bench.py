@@ -35,8 +35,7 @@ RELEASED = {
 """Columns whose fronts are compared, and cells across them, by dimension."""
 STIFFNESSES, STEPS = (1.0, 10.0, 100.0), (0.9, 0.3)
 """Young's moduli over 150 rho g H, and steps over cell / wave speed."""
-TRANSFERS = {"AFLIP, default": None, "APIC": 0.0}
-"""Relaxation times of the transfer."""
+TRANSFERS = {"AFLIP, default": None, "APIC": 0.0}  # relaxation times of the transfer
 Fronts = Mapping[tuple[int, float, float], Mapping[str, float]]
 """Fronts [m] by each transfer, by dimension, stiffness and step."""
 
@@ -45,16 +44,13 @@ Fronts = Mapping[tuple[int, float, float], Mapping[str, float]]
 class HardCase(Record):
     """A row of `rows.toml`."""
 
-    name: str
-    """Of the scene file."""
+    name: str  # of the scene file
     what: str
-    exact: bool = False
-    """Whether its outcome is an exact solution."""
+    exact: bool = False  # whether its outcome is an exact solution
     rests: bool = False
     rings: bool = False
     until_rest: bool = False
-    energy: float | None = None
-    """Energy that it may gain, over the available one, where that is more than usual."""
+    energy: float | None = None  # energy that it may gain, over the available one, where that is more than usual
     checks: tuple[dict[str, Any], ...] = ()
     """Of `quantities.py`: `quantity`, and its keys in `rows.toml` that are others here."""
     over: str = ""
@@ -70,8 +66,7 @@ class CheckedCase:
     """What was found of a row; a run that gave no trajectory has a message alone."""
 
     row: HardCase
-    kept: tuple[Finding, ...] = ()
-    """What every flow, and every deposit, has to keep."""
+    kept: tuple[Finding, ...] = ()  # what every flow, and every deposit, has to keep
     own: tuple[Finding, ...] = ()
     blown_up: str = ""
 

@@ -34,12 +34,9 @@ def total_energy(flow: Trajectory) -> Floats:
 class FreeFlight:
     """x = v t + g t (t + dt) / 2: a throw, in steps of symplectic Euler ahead of the parabola by g t dt / 2."""
 
-    velocity: tuple[float, ...]
-    """Initial [m/s], shape [D]."""
-    gravity: tuple[float, ...]
-    """[m/s^2], shape [D]."""
-    step: float
-    """Time step [s]."""
+    velocity: tuple[float, ...]  # initial [m/s], shape [D]
+    gravity: tuple[float, ...]  # [m/s^2], shape [D]
+    step: float  # time step [s]
 
     @staticmethod
     def of_flow(flow: Trajectory) -> "FreeFlight":
@@ -58,8 +55,7 @@ class FreeFlight:
 class SlidingBlock:
     """A rigid block on an incline with Coulomb friction, let go at rest: a = g max(0, sin theta - mu cos theta)."""
 
-    acceleration: float
-    """Down the incline [m/s^2]."""
+    acceleration: float  # down the incline [m/s^2]
 
     @staticmethod
     def of_scene(scene: Scene) -> "SlidingBlock":
@@ -87,12 +83,9 @@ class SlidingBlock:
 class StandingWave:
     """The lowest mode of an elastic body: velocity and displacement of one shape that swing at omega without decay."""
 
-    axis: int
-    """Along which it moves."""
-    omega: float
-    """Angular frequency [1/s]."""
-    shape: Floats
-    """Of the particles at the start [-], shape [N]."""
+    axis: int  # along which it moves
+    omega: float  # angular frequency [1/s]
+    shape: Floats  # of the particles at the start [-], shape [N]
 
     @staticmethod
     def of_bar(flow: Trajectory) -> "StandingWave":
@@ -135,28 +128,3 @@ def settlement(scene: Scene) -> float:
         total += (load + 0.5 * weight) * height / (material.lame + 2.0 * material.shear_modulus)
         load += weight
     return total
-
-
-def liquid_thrust(scene: Scene) -> float:
-    """Thrust of a liquid of the first mass's density and height, rho g H^2 / 2 [N per metre of width]."""
-    mass = scene.masses[0]
-    return 0.5 * scene.material_of(mass).density * scene.gravity * mass.size[1] ** 2
-
-
-def landing_time(scene: Scene) -> float:
-    """When a mass that is thrown up at v from the height h comes down, (v + sqrt(v^2 + 2 g h)) / g [s]."""
-    mass = scene.masses[0]
-    up = mass.velocity[1] if mass.velocity else 0.0
-    return (up + math.sqrt(up**2 + 2.0 * scene.gravity * mass.lower[1])) / scene.gravity
-
-
-def repose_front(scene: Scene) -> float:
-    """Front [m] of a pile at the angle of friction, of the area of a column L x H at the wall.
-
-    A trapezoid, L + H / (2 tan phi), where H <= 2 L tan phi, else a triangle, sqrt(2 L H / tan phi).
-    """
-    tan_phi = scene.material.friction
-    length, height = scene.masses[0].size[0], sum(mass.size[1] for mass in scene.masses)
-    if height <= 2.0 * length * tan_phi:
-        return length + height / (2.0 * tan_phi)
-    return math.sqrt(2.0 * length * height / tan_phi)

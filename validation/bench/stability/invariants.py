@@ -16,23 +16,18 @@ from datasets.scene import TOLERANCE
 from datasets.scene.particles import initial_particles, initial_volumes
 from validation.bench.stability.exact_solutions import total_energy
 
-ROUNDING = 1.0e-4
-"""Cells: what single precision makes of a coordinate in a box of some hundred cells."""
+ROUNDING = 1.0e-4  # cells: what single precision makes of a coordinate in a box of some hundred cells
 MOMENTUM = {"f32": 1.0e-4, "f64": 1.0e-5}
 """Relative: in f32 the rounding of 10,000 steps; in f64 that of the recorded impulses, which have six digits."""
 ENERGY = 2.0e-4
 """Of the initial energy: what lifts the whole flow by this part of its initial mean height. A row may allow more."""
-REST = 1.0e-3
-"""Kinetic energy over its largest: what `until_rest` of the solver calls rest."""
-BASE = 8
-"""Cells over which a slope is measured."""
+REST = 1.0e-3  # kinetic energy over its largest: what `until_rest` of the solver calls rest
+BASE = 8  # cells over which a slope is measured
 REPOSE_MARGIN_DEG = 4.0
 """The surface is known to a third of a cell (the topmost particle of each column): 2.6 degrees over 8 cells, and the
 steepest of all places counts."""
-CUBE = 2
-"""Cells along an edge of the cubes (in 2D squares) in which particles are counted."""
-MIN_CUBES = 10
-"""Cubes from which a mean is taken: single ones scatter by a tenth."""
+CUBE = 2  # cells along an edge of the cubes (in 2D squares) in which particles are counted
+MIN_CUBES = 10  # cubes from which a mean is taken: single ones scatter by a tenth
 VOLUME = 0.05
 
 

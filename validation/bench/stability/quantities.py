@@ -32,9 +32,11 @@ def middle_stays(flow: Trajectory) -> float:
 
 
 def thrust_ratio(flow: Trajectory) -> float:
-    """Mean thrust of a bed on the first solid beside it, over that of a liquid of its density: its `k0`."""
+    """Mean thrust of a bed on the first solid beside it, over rho g H^2 / 2 of a liquid of its density: its `k0`."""
     assert flow.solid_impulse is not None
-    return float(flow.solid_impulse[-1, 0, 0]) / (exact.liquid_thrust(flow.scene) * float(flow.time[-1]))
+    scene, bed = flow.scene, flow.scene.masses[0]
+    liquid = 0.5 * scene.material_of(bed).density * scene.gravity * bed.size[1] ** 2
+    return float(flow.solid_impulse[-1, 0, 0]) / (liquid * float(flow.time[-1]))
 
 
 def moves_on(flow: Trajectory) -> float:
@@ -160,9 +162,14 @@ def rests_settled(flow: Trajectory) -> float:
 
 
 def rests_after_landing(flow: Trajectory) -> float:
-    """Time at which the solver calls thrown sand at rest, over that of its landing; inf where it never does."""
-    rest = flow.summary.get("rest_time")
-    return math.inf if rest is None else float(rest) / exact.landing_time(flow.scene)
+    """Time at which the solver calls thrown sand at rest, over that of its landing; inf where it never does.
+
+    What is thrown up at v from the height h comes down after (v + sqrt(v^2 + 2 g h)) / g.
+    """
+    rest, (mass, *_), gravity = flow.summary.get("rest_time"), flow.scene.masses, flow.scene.gravity
+    up = mass.velocity[1] if mass.velocity else 0.0
+    landing = (up + math.sqrt(up**2 + 2.0 * gravity * mass.lower[1])) / gravity
+    return math.inf if rest is None else float(rest) / landing
 
 
 def stands(flow: Trajectory) -> float:
@@ -172,8 +179,15 @@ def stands(flow: Trajectory) -> float:
 
 
 def spreads(flow: Trajectory) -> float:
-    """The front lies at least where that of a pile of the same area at the angle of friction would."""
-    return front(flow.positions[-1], flow.volumes) / exact.repose_front(flow.scene)
+    """The front over that of a pile at the angle of friction, of the area of the column L x H at the wall.
+
+    A trapezoid, L + H / (2 tan phi), where H <= 2 L tan phi, else a triangle, sqrt(2 L H / tan phi).
+    """
+    masses, tan_phi = flow.scene.masses, flow.scene.material.friction
+    length, height = masses[0].size[0], sum(mass.size[1] for mass in masses)
+    low = height <= 2.0 * length * tan_phi
+    pile = length + height / (2.0 * tan_phi) if low else math.sqrt(2.0 * length * height / tan_phi)
+    return front(flow.positions[-1], flow.volumes) / pile
 
 
 def creeps(flow: Trajectory) -> float:
@@ -236,7 +250,6 @@ def middle_displacement(flow: Trajectory) -> NDArray[np.float64]:
 
 
 def in_cells(length: float, flow: Trajectory) -> float:
-    """A length [m] in cells."""
     return float(length) / flow.scene.domain.cell
 
 

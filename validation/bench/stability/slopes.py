@@ -13,10 +13,8 @@ from mpm.safety import Safety, safety_factor
 from validation.bench.page import Row, percent
 
 HEIGHT, DENSITY = 10.0, 2000.0
-WEIGHT = DENSITY * 9.81 * HEIGHT
-"""rho g H [Pa]."""
-CELLS = (10, 20, 40)
-"""Over the height."""
+WEIGHT = DENSITY * 9.81 * HEIGHT  # rho g H [Pa]
+CELLS = (10, 20, 40)  # over the height
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,15 +22,12 @@ class KnownSlope(Record):
     """A slope above a rough floor at its toe, of a material that bears tension up to the apex of its cone."""
 
     name: str
-    factor: float
-    """Its factor of safety [-]."""
+    factor: float  # its factor of safety [-]
     source: str
     steepness_deg: float
     friction_deg: float
-    cohesion: float = 0.0
-    """c / (rho g H) [-]."""
-    dilates: bool = True
-    """psi = phi, as limit analysis and charts have it; without, psi = 0."""
+    cohesion: float = 0.0  # c / (rho g H) [-]
+    dilates: bool = True  # psi = phi, as limit analysis and charts have it; without, psi = 0
 
     def scene(self, cells: int) -> Scene:
         """With so many cells over the height."""
@@ -60,8 +55,7 @@ WITHOUT_DILATION = tuple(
     for each in (BISHOP, SAND)
 )
 
-Factors = Mapping[KnownSlope, Mapping[int, Safety]]
-"""What was found of each slope, by its cells over the height."""
+Factors = Mapping[KnownSlope, Mapping[int, Safety]]  # what was found of each slope, by its cells over the height
 
 
 def factors(slopes: Sequence[KnownSlope]) -> Factors:
