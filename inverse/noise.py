@@ -235,7 +235,7 @@ def fit(
         freedom=(first, min(second, 1e9)),
         numbers=size,
         parameters=parameters,
-        outliers={} if predicted is None else outlying(residual, predicted),
+        outliers={} if predicted is None else outlying(-residual, predicted),
         alone=alone,
     )
 
@@ -259,20 +259,23 @@ def noise_alone(residual: Floats, bias: Floats, freedom: int) -> float | None:
 def outlying(residual: Floats, covariance: Floats) -> dict[int, float]:
     """Numbers whose residuals [M] lie off what the others predict by more than chance does once in a hundred flows.
 
-    z_i = (P r)_i / P_ii^(1/2),   P = C^-1
+    z_i = (P r)_i / P_ii^(1/2),   P = C^-1,   r observed less predicted
 
     leaves out one number after the other (Dubrule, Cross validation of kriging in a unique neighborhood, Math. Geol. 15
     (1983) 687-699). The farthest is left out for good, then those that are left are judged again: it moves them all.
+    None is named where no majority agrees: of two numbers that contradict each other either may be wrong.
     """
     limit = float(norm.isf(0.5 * (1.0 - CONFIDENCE) / len(residual)))
     scale, left, outliers = np.sqrt(np.diag(covariance)), np.arange(len(residual)), {}
     correlation = covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
-    while len(left) > 0.5 * len(residual):
+    while True:
         inverse = np.linalg.inv(correlation[np.ix_(left, left)])
         off = inverse @ (residual / scale)[left] / np.sqrt(np.diag(inverse))
         worst = int(np.argmax(np.abs(off)))
         if abs(off[worst]) <= limit:
             break
+        if len(left) - 1 <= 0.5 * len(residual):
+            return {}
         outliers[int(left[worst])] = float(off[worst])
         left = np.delete(left, worst)
     return dict(sorted(outliers.items()))

@@ -15,6 +15,8 @@ import numpy as np
 from inverse.inference_data import predictive
 from inverse.observations import Values
 from inverse.observations.observation import JointPart
+from inverse.posterior import Matrix
+from inverse.posterior.posterior import Posterior
 from inverse.result import Result
 
 OUTLIER = 3.0  # standardised residual beyond which a number is named
@@ -73,11 +75,20 @@ def residuals(result: Result) -> list[Residuals]:
     points = posterior.samples.drawn(len(posterior.samples.points), rng)
     scale = np.broadcast_to(target.observation.scale, target.values.shape)
     lower, median, upper = scale * np.quantile(predictive(posterior, points, rng), (0.025, 0.5, 0.975), axis=0)
-    observed, noise, counted = (scale * values for values in (target.values, target.deviation, posterior.deviation))
-    unmeasured = np.maximum(((upper - lower) / (2.0 * NORMAL)) ** 2 - counted**2, 0.0)
-    off = (observed - median) / np.maximum(np.sqrt(unmeasured + noise**2), 1e-300)
+    observed, noise = scale * target.values, scale * target.deviation
+    off = (observed - median) / np.maximum(np.sqrt(scale**2 * unmeasured(posterior, points) + noise**2), 1e-300)
     columns = (observed, noise, median, lower, upper, off)
     return [Residuals(part, *(values[part.numbers] for values in columns)) for part in target.observation.parts]
+
+
+def unmeasured(posterior: Posterior, points: Matrix) -> Values:
+    """p^2, the variance of what further flows at points [S, U] would show without errors of measurement, shape [M]."""
+    reduction, (_, variance) = posterior.reduction, posterior.emulator.predict(points)
+    inside = posterior.unmeasured + np.diag(variance.mean(axis=0)) + np.cov(posterior.emulator.mean(points).T)
+    within = np.einsum("ir,rs,is->i", reduction.basis, inside, reduction.basis)
+    # Across the components it is scatter alone.
+    across = (1.0 - (reduction.basis**2).sum(axis=1)) * (1.0 - (posterior.deviation * reduction.weights) ** 2)
+    return np.asarray(np.maximum(within + across, 0.0) / reduction.weights**2)
 
 
 def outlying(fits: Sequence[Residuals]) -> str:

@@ -33,7 +33,7 @@ class Front(SmoothObservation):
         return fitted_tail(positions[:, 0], volumes).reshape(1)
 
     def front(self, values: Values) -> float:
-        return float(values[-1])
+        return self.at_end(values)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -127,6 +127,13 @@ class Observation:
         """The deposit's front [m] by this observation alone; nan where it does not give it."""
         return math.nan
 
+    def at_end(self, values: Values) -> float:
+        """The latest of `values` [M]; nan where the scene lasts more than a frame longer, and the flow may go on."""
+        if self.times is None:
+            return float(values[-1])
+        latest, end = self.times.max(), self.scene.duration - self.scene.frame_dt
+        return float(values[self.times == latest][-1]) if latest >= end * (1.0 - 1e-9) else math.nan
+
     def of_particles(self, values: Values, indices: NDArray[np.int64]) -> Values:
         """The part of an exact observation that can be compared with that of the particles `indices` alone."""
         return values
@@ -209,6 +216,11 @@ class Joint(Observation):
 
     def prior_scatter(self, values: Values) -> Values:
         return np.asarray(self.prior / self.scale)
+
+    def front(self, values: Values) -> float:
+        measured = self.scale * values
+        fronts = [part.observation.front(measured[part.numbers]) for part in self.parts]
+        return next(filter(math.isfinite, fronts), math.nan)
 
 
 def recording(observations: Sequence[Observation]) -> Recording:

@@ -117,7 +117,7 @@ class Profile(Observation):
         return "share of the area [-]", np.array(SHARES)
 
     def front(self, values: Values) -> float:
-        return float(values[-1])
+        return float(values[-1]) if math.isfinite(self.at_end(values[-1:])) else math.nan
 
     def text(self, values: Values) -> str:
         return f"mean x {values.mean():.4f} m, 99.5 % within {values[-1]:.4f} m"

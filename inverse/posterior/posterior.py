@@ -192,6 +192,8 @@ class Posterior:
     """Which of all runs the emulator is made of, shape [n]."""
     deviation: Row
     """Of the errors that were counted, of each number, shape [M]."""
+    unmeasured: Matrix
+    """F^2 (S + D) of the components, shape [r, r]."""
     explained: Row
     """Variance of each component that repeated runs can explain: beyond it, the emulator does not fit, shape [r]."""
 
@@ -289,6 +291,7 @@ def posterior(
         region=region,
         near=near,
         deviation=target.deviation,
+        unmeasured=factor**2 * (single + errors - reduced.noise),
         explained=explained,
     )
 

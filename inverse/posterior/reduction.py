@@ -17,6 +17,7 @@ from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 
 NEGLIGIBLE = 1e-8  # effect of a parameter on any number, over scatter and noise, that is rounding
+STEEP = 3.0  # standard errors from which on a slope is one
 SMALL = 0.1  # root mean square of a direction besides the parameters' own, over scatter and noise, that is left out
 
 
@@ -56,11 +57,16 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
     first = directions(slopes, len(slopes), NEGLIGIBLE)
     rest = directions(weighted - (weighted @ first) @ first.T, CONSTANTS.beyond_linear, SMALL * len(points) ** 0.5)
     basis = np.concatenate([first, rest], axis=1)[:, : CONSTANTS.max_components]
+    if basis.shape[1] == 0:
+        # All runs show the same: how far they are from the target is no function of the parameters.
+        apart = (target.values - mean) * weights
+        basis = (apart if apart.any() else np.ones_like(apart))[:, None]
+        basis = basis / np.linalg.norm(basis)
     components = weighted @ basis
     components[:, : first.shape[1]] = cross_fitted(weighted, points, first)[:, : basis.shape[1]]
     scaled = basis * weights[:, None]
     # Between errors of single numbers and one of all together, of M^(1/2) times the effect.
-    expected = np.sqrt((scaled**2).T @ scatter**2) * len(scatter) ** 0.25
+    expected = np.maximum(np.sqrt((scaled**2).T @ scatter**2) * len(scatter) ** 0.25, 1e-12)
     noise = target.errors.combined(scaled)
     return Reduction(
         mean=mean, weights=weights, basis=basis, components=components, expected_scatter=expected, noise=noise
@@ -72,11 +78,13 @@ def cross_fitted(weighted: Matrix, points: Matrix, first: Matrix) -> Matrix:
 
     A slope holds some of what each run is off it: cross-fitting (Chernozhukov et al., Double/debiased machine learning
     for treatment and structural parameters, Econom. J. 21 (2018) C1-C68, section 3). Of the slopes without the runs at
-    one point those combinations are used whose projection on `first` is `first`.
+    one point those combinations are used whose projection on `first` is `first`. A direction whose slope is no more
+    than `STEEP` standard errors keeps the components of all runs: what lies along it is curvature and scatter.
     """
     components, products = weighted @ first, weighted @ weighted.T
     crossed = components.copy()
     functions = np.concatenate([np.ones((len(points), 1)), points], axis=1)
+    steep = slope_over_error(components, functions) > STEEP
     _, label = np.unique(points, axis=0, return_inverse=True)
     for group in range(int(label.max()) + 1):
         here, others = np.flatnonzero(label == group), np.flatnonzero(label != group)
@@ -84,9 +92,20 @@ def cross_fitted(weighted: Matrix, points: Matrix, first: Matrix) -> Matrix:
             continue
         # The slopes are this times the other runs' numbers.
         slopes = np.linalg.pinv(functions[others])[1:]
-        along = slopes @ components[others]
-        crossed[here] = products[np.ix_(here, others)] @ slopes.T @ np.linalg.pinv(along.T)
+        along = slopes @ components[np.ix_(others, steep)]
+        crossed[np.ix_(here, steep)] = products[np.ix_(here, others)] @ slopes.T @ np.linalg.pinv(along.T)
     return crossed
+
+
+def slope_over_error(components: Matrix, functions: Matrix) -> Row:
+    """Of the linear fit of each component [n, r] by 1 and the parameters [n, 1 + U]: its slope over the error, [r]."""
+    fit = np.linalg.pinv(functions)
+    coefficients = fit @ components
+    freedom = max(1, len(functions) - functions.shape[1])
+    scatter = np.sqrt(((components - functions @ coefficients) ** 2).sum(axis=0) / freedom)
+    slopes = np.linalg.norm(coefficients[1:], axis=0)
+    ways = np.linalg.norm(coefficients[1:].T @ fit[1:], axis=1) / np.maximum(slopes, 1e-300)
+    return np.asarray(slopes / np.maximum(scatter * ways, 1e-300))
 
 
 def directions(rows: Matrix, most: int, minimum: float) -> Matrix:

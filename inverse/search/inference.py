@@ -71,11 +71,8 @@ class Inference:
         points, guide = search.points, self.guide
         many = points.shape[1] > CONSTANTS.few_parameters
         target, region = self.target, self.region or self.left(points, known=len(search.known) > 0)
-        cells = self.discretisation
-        if cells is not None and self.spared:
-            cells = cells / self.factor
         for _ in range(UPDATES):
-            latest = replace(self, target=target, discretisation=cells).by(
+            latest = replace(self, target=target).by(
                 points,
                 search.numbers,
                 search.generator(),
@@ -94,7 +91,10 @@ class Inference:
 
     def by(self, points: Matrix, numbers: Matrix, rng: np.random.Generator, **options: Any) -> Posterior:
         """The posterior by runs at points [n, U] that show `numbers` [n, M]; options: as of `posterior`."""
-        options |= {"scatter": self.scatter, "discretisation": self.discretisation, "extrapolated": self.extrapolated}
+        cells = self.discretisation
+        if cells is not None and self.spared:
+            cells = cells / self.factor
+        options |= {"scatter": self.scatter, "discretisation": cells, "extrapolated": self.extrapolated}
         return posterior(points, numbers, self.target, rng=rng, factor=self.factor, prior=self.problem.prior, **options)
 
     def left(self, points: Matrix, *, known: bool) -> Region | None:
