@@ -79,8 +79,7 @@ def advanced(
     share of the displacements [N, D] that is left, by these and the step's length at the speed of rest, where it is not
     that of `moving`: a flow whose particles hardly move stops.
     """
-    positions = state.positions
-    fall = conditions.of_particles(conditions.gravity) * settings.step**2
+    positions, fall = state.positions, conditions.of_particles(conditions.gravity) * settings.step**2
     stopped = keep_out(positions + state.displacements[-1] + acceleration + fall, positions, conditions)
     if settings.rest_speed > 0.0:
         limit = settings.rest_speed * settings.step
@@ -136,14 +135,12 @@ class Simulator(nn.Module):
         learned, shares = self.network(Inputs.of_moment(moment)).split((settings.dimension, len(FORCES)), dim=1)
         force = (shares.unsqueeze(1) @ moment.forces).squeeze(1)
         contact = self.acceleration_scale * learned + GRAVITY * settings.step**2 * force
+        return advanced(state, conditions, contact, settings, partial(self.moves, moment))
 
-        def moves(moved: Tensor, limit: float) -> Tensor:
-            return torch.ones(()) if self.training else self.moves(moved, limit, moment)
-
-        return advanced(state, conditions, contact, settings, moves)
-
-    def moves(self, moved: Tensor, limit: float, moment: Moment) -> Tensor:
+    def moves(self, moment: Moment, moved: Tensor, limit: float) -> Tensor:
         """`moving`; of a flow that rested before and can lie as it does (`Moment.stands`) above a higher speed."""
+        if self.training:
+            return torch.ones(())
         conditions, slow = moment.conditions, AT_REST * limit
         moves = moving(moved, slow, conditions)
         starts = moves * (1.0 - moving(moment.velocity, slow, conditions) - moving(moved, STANDING * limit, conditions))
@@ -184,8 +181,7 @@ def settled(displacements: Tensor, limit: float) -> Tensor:
 def on_threads(count: int, compute: Callable[P, Tensor], *args: P.args, **kwargs: P.kwargs) -> Tensor:
     """What `compute` returns, with so many threads of torch in it and in the backward pass through what it returns.
 
-    Afterwards torch has as many as before. On a thousand particles two threads take ten times as long as one where
-    another process takes a processor: they spin at a barrier after every operation.
+    Afterwards torch has as many as before. Why few: `gns/__init__.py`.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(count)
@@ -223,10 +219,9 @@ def unroll(
     their state alone, and are computed again in the backward pass, with the same result. For a gradient with respect to
     state or conditions the weights should be frozen, as `gns.load` gives them: it is then much cheaper.
     """
-    lean = trimming(simulator)
-    length = conditions.units.length
-    state, conditions = in_model_units(start, conditions)
-    first, positions = state, [state.positions]
+    lean, length = trimming(simulator), conditions.units.length
+    first, conditions = in_model_units(start, conditions)
+    state, positions = first, [first.positions]
     for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
         before = state
         if torch.is_grad_enabled() and step < steps - kept_steps:
@@ -265,10 +260,7 @@ def step_activation_bytes(simulator: StepModel, state: State, conditions: Condit
         return tensor
 
     state, conditions = in_model_units(state, conditions)
-    inside = State(
-        positions=state.positions.detach().clone().requires_grad_(),
-        displacements=state.displacements.detach().clone().requires_grad_(),
-    )
+    inside = State(**{name: tensor.detach().clone().requires_grad_() for name, tensor in vars(state).items()})
     with torch.enable_grad(), torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
         simulator(inside, conditions)
     return sum(storage.nbytes() for storage in saved.values())

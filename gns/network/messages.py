@@ -20,7 +20,7 @@ from typing import Any
 import numba
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
 from gns.network.features import EDGES, SQUARE_FLOOR
@@ -58,18 +58,12 @@ def messages(receiver: Tensor, sender: Tensor, weight: Tensor, graph: Graph) -> 
 
 
 @cache
-def _definition() -> nn.Module:
+def _definition() -> Any:
     """The definition, made where it is first needed: to import PyTorch Geometric takes seconds."""
     from torch_geometric.nn import MessagePassing
 
     class MessageSum(MessagePassing):  # type: ignore[misc]
-        """m_i = sum_j w_ij silu(a_i + b_j + W_x (x_j - x_i) + W_d d_ij)."""
-
-        def __init__(self) -> None:
-            super().__init__(aggr="sum", flow="source_to_target")
-
         def forward(self, edge_index: Tensor, **given: Tensor) -> Tensor:
-            """Sum the messages at each receiver [N, C]."""
             return torch.as_tensor(self.propagate(edge_index, **given))
 
         def message(self, a_i: Tensor, b_j: Tensor, x_i: Tensor, x_j: Tensor, weight: Tensor) -> Tensor:
@@ -78,7 +72,7 @@ def _definition() -> nn.Module:
             envelope = (1.0 - offset.square().sum(dim=1, keepdim=True)).clamp(min=0.0).square()
             return envelope * functional.silu(a_i + b_j + computed(EDGES, offset) @ weight)
 
-    return MessageSum()
+    return MessageSum(aggr="sum", flow="source_to_target")
 
 
 class FusedSum(torch.autograd.Function):

@@ -62,13 +62,13 @@ LARGEST = 3.0
 class Normalisation:
     """Statistics of the training data at the model's step, as numbers or as a model's tensors."""
 
-    displacement_scale: float | Tensor
+    displacement_scale: float | Tensor = 1.0
     """Root mean square displacement of a particle in a step [m]."""
-    acceleration_scale: float | Tensor
+    acceleration_scale: float | Tensor = 1.0
     """Root mean square change of the displacement from step to step, without that of gravity [m]."""
-    friction_mean: float | Tensor
+    friction_mean: float | Tensor = 0.0
     """Mean of tan(phi) [-]."""
-    friction_std: float | Tensor
+    friction_std: float | Tensor = 1.0
     """Standard deviation of tan(phi) [-]."""
 
 
@@ -137,10 +137,8 @@ class Moment:
     def traction(self) -> Tensor:
         """Friction of the surfaces [-], shape [N, D]."""
         conditions, dimension = self.conditions, self.settings.dimension
-        floor, wall = (
-            conditions.of_particles(roughness).unsqueeze(1)
-            for roughness in (conditions.floor_friction, conditions.wall_friction)
-        )
+        floor = conditions.of_particles(conditions.floor_friction).unsqueeze(1)
+        wall = conditions.of_particles(conditions.wall_friction).unsqueeze(1)
         lower, upper = (1.0 - self.solids[:, : 2 * dimension]).chunk(2, dim=1)
         direction, friction = self.solids[:, -dimension - 1 : -1], self.solids[:, -1:]
         axes = torch.arange(dimension, device=direction.device)

@@ -11,6 +11,7 @@ from functools import reduce
 import torch
 from torch import Tensor
 
+from datasets.geometry.ground import plan_axes
 from gns.settings import UP
 from gns.surroundings.solids import Below, Boxes, rotated
 from gns.surroundings.state import Conditions, Ground, Input
@@ -97,14 +98,11 @@ def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | Non
 
     size: [m], shape [B, D]; batch: sample of each particle, shape [N], absent where there is one.
     """
-    dimension = positions.shape[1]
-    scaled = positions / cell
+    scaled, dimension = positions / cell, positions.shape[1]
     base = scaled.detach().floor().long()
-    index = torch.zeros(len(base), dtype=torch.long, device=base.device) if batch is None else batch
-    sample = index.unsqueeze(1).expand(-1, dimension)
-    far = torch.zeros(len(size), dimension, dtype=torch.long, device=base.device)
-    first = far.scatter_reduce(0, sample, base, "amin", include_self=False)
-    last = far.scatter_reduce(0, sample, base, "amax", include_self=False)
+    index = torch.zeros_like(base[:, 0]) if batch is None else batch
+    sample, none = index.unsqueeze(1).expand(-1, dimension), base.new_zeros(size.shape)
+    first, last = (none.scatter_reduce(0, sample, base, end, include_self=False) for end in ("amin", "amax"))
     origin = (first - MARGIN).clamp(min=-1)
     counts = -((origin - last - MARGIN - 2) // MULTIPLE) * MULTIPLE
     shape = tuple(int(count) for count in counts.amax(dim=0).tolist())
@@ -135,27 +133,20 @@ def column_features(stencil: Stencil, conditions: Conditions) -> Tensor:
     | height     | height of the whole column at the node's x (and z), likewise [-]                              |
     | slope      | derivative of that height along x (and z) [-]                                                 |
     """
-    shape, cell = stencil.shape, stencil.cell
-    dimension = len(shape)
-    size = conditions.size
-    filled = stencil.scatter(conditions.volume.unsqueeze(1)).view(stencil.samples, *shape) / cell**dimension
+    size, shape, cell, level = conditions.size, stencil.shape, stencil.cell, plan_axes(len(stencil.shape))
+    filled = stencil.scatter(conditions.volume.unsqueeze(1)).view(stencil.samples, *shape) / cell ** len(shape)
     # A node on a wall stands for half a cell: divide, or the material beside a wall would look loose.
-    begin, end = stencil.cells(size)
-    shares = [
-        spread(((last - first) / cell).clamp(min=LEAST_SHARE), axis, dimension)
-        for axis, (first, last) in enumerate(zip(begin, end, strict=True))
-    ]
-    layers = filled * (cell / REFERENCE_HEIGHT)
-    packing = filled / shares[UP]
-    for share in (share for axis, share in enumerate(shares) if axis != UP):
+    shares = [((last - first) / cell).clamp(min=LEAST_SHARE) for first, last in zip(*stencil.cells(size), strict=True)]
+    layers, packing = filled * (cell / REFERENCE_HEIGHT), filled / spread(shares[UP], UP, len(shape))
+    for axis in level:
+        share = spread(shares[axis], axis, len(shape))
         layers, packing = layers / share, packing / share
     above = layers.flip(UP + 1).cumsum(UP + 1).flip(UP + 1) - 0.5 * layers
     height = layers.sum(UP + 1, keepdim=True)
-    level = [axis for axis in range(dimension) if axis != UP]
     extended = stencil.within(height, size, level)
     slopes = [torch.gradient(extended, spacing=cell / REFERENCE_HEIGHT, dim=axis + 1)[0] for axis in level]
-    channels = [packing, above, height.expand_as(filled), *(slope.expand_as(filled) for slope in slopes)]
-    return torch.stack(channels, dim=-1).view(-1, dimension + 2)
+    channels = [channel.expand_as(filled) for channel in (packing, above, height, *slopes)]
+    return torch.stack(channels, dim=-1).view(-1, len(channels))
 
 
 def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
@@ -178,10 +169,12 @@ def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
             overlap = torch.minimum(upper, end[axis].unsqueeze(1)) - torch.maximum(lower, begin[axis].unsqueeze(1))
             parts[name] = overlap.clamp(min=0.0) * inverse[axis].unsqueeze(1)
         if conditions.baffle_turn is not None:
-            plane = axes[0] + axes[-1]
-            area = _area(boxes, _edges(begin[0], end[0]), _edges(begin[-1], end[-1]))
-            parts = {name: part for name, part in parts.items() if name not in plane}
-            parts[plane] = area * inverse[0][:, None, :, None] * inverse[-1][:, None, None, :]
+            # Where cells that follow each other along these axes meet.
+            x, z = (
+                torch.cat((begin[axis][:, :1], torch.minimum(end[axis], end[axis][:, -1:])), dim=1) for axis in (0, -1)
+            )
+            del parts[axes[0]], parts[axes[-1]]
+            parts[axes[0] + axes[-1]] = _area(boxes, x, z) * inverse[0][:, None, :, None] * inverse[-1][:, None, None]
         terms = ",".join("bk" + name for name in parts)
         room = room * (1.0 - torch.einsum(f"{terms}->b{axes}", *parts.values())).clamp(min=0.0)
     return (1.0 - room).clamp(min=0.0).reshape(-1, 1)
@@ -192,11 +185,6 @@ CHANNELS = {
     "share of the cell that is no room": Input(lambda s: 1, occupancy),
 }
 """Of a node of the grid, from a stencil and the conditions."""
-
-
-def _edges(begin: Tensor, end: Tensor) -> Tensor:
-    """Where cells that follow each other along an axis meet [m], shape [B, X + 1], of their begins and ends [B, X]."""
-    return torch.cat((begin[:, :1], torch.minimum(end, end[:, -1:])), dim=1)
 
 
 def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
@@ -243,7 +231,7 @@ def _buried(ground: Ground, begin: list[Tensor], end: list[Tensor]) -> Tensor:
     dimension = len(begin)
     middles = [spread(0.5 * (begin[axis] + end[axis]), axis, dimension) for axis in range(dimension)]
     middles[UP] = torch.zeros_like(middles[UP][:, :, :1])
-    shape = [len(begin[0]), *(middle.shape[axis + 1] for axis, middle in enumerate(middles))]
+    shape = torch.broadcast_shapes(*(middle.shape for middle in middles))
     points = torch.stack([middle.expand(shape).flatten() for middle in middles], dim=1)
     batch = torch.arange(shape[0], device=points.device).repeat_interleave(math.prod(shape[1:]))
     elevation = Below(points, ground, batch).value(ground.elevation).view(shape)
