@@ -22,8 +22,7 @@ from gns.surroundings.units import Units
 if TYPE_CHECKING:
     from gns.simulator import Simulator
 
-LEVELS = (0.5, 0.8, 0.95)
-"""Of the bands that it has quantiles for."""
+LEVELS = (0.5, 0.8, 0.95)  # of the bands that it has quantiles for
 
 
 @dataclass(frozen=True, kw_only=True)

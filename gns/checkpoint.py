@@ -28,18 +28,15 @@ from gns.simulator import Simulator
 from gns.surroundings.forces import Normalisation
 
 WHAT = "whole weights of a model"
-FORMAT = "4"
-"""Raised when files get another layout."""
+FORMAT = "4"  # raised when files get another layout
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
     """A simulator and its history."""
 
-    simulator: Simulator
-    """Built, with weights, in evaluation mode and frozen: a gradient with respect to the flow is then much cheaper."""
-    provenance: Mapping[str, Any]
-    """Command, seed, datasets, minutes and scores that made the weights."""
+    simulator: Simulator  # in evaluation mode and frozen: a gradient with respect to the flow is then much cheaper
+    provenance: Mapping[str, Any]  # command, seed, datasets, minutes and scores that made the weights
 
 
 def save(path: Path, simulator: Simulator, provenance: Mapping[str, Any]) -> None:

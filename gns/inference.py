@@ -3,6 +3,7 @@
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -58,14 +59,9 @@ def simulate(
         moved = on_threads(threads, unroll, *given, progress=progress)
     positions, volume = np.concatenate((initial.known, moved[1:].cpu().numpy())), initial.conditions.volume.numpy()
     wall = time.perf_counter() - clock
-    summary = {
-        **measures.extents(scene, positions[-1], volume),
-        "steps": initial.steps,
-        "particles": len(initial.indices),
-        "wall_s": wall,
-        "device": str(device),
-        "start": "rest" if start is None else "frames",
-    }
+    summary: dict[str, Any] = {**measures.extents(scene, positions[-1], volume), "steps": initial.steps}
+    summary |= {"particles": len(initial.indices), "wall_s": wall, "device": str(device)}
+    summary["start"] = "rest" if start is None else "frames"
     return Trajectory(
         positions=positions,
         time=initial.times,

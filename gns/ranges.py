@@ -20,12 +20,9 @@ from datasets.scene import Scene, coefficient
 from gns.settings import ModelSettings
 from gns.surroundings.units import Units
 
-MARGIN = 0.1
-"""Admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale."""
-SMALLEST = 1.0e-3
-"""Tangent of an angle, or length over l, below which logarithms do not fall further [-]."""
-GROUND_SPACING = 0.05
-"""Distance between two elevations of which the steepness of terrain is taken, over l [-]."""
+MARGIN = 0.1  # admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale
+SMALLEST = 1.0e-3  # tangent of an angle, or length over l, below which logarithms do not fall further [-]
+GROUND_SPACING = 0.05  # distance between two elevations of which the steepness of terrain is taken, over l [-]
 
 Range = tuple[float, float]
 
@@ -44,19 +41,14 @@ def logarithm_of_tangent(degrees: float) -> float:
 class RangedQuantity:
     """A quantity of a scene whose range bounds a surrogate's validity."""
 
-    values: Sequence[float]
-    """In its unit; none where the scene has no such thing."""
+    values: Sequence[float]  # in its unit; none where the scene has no such thing
     unit: str = ""
-    below: bool = True
-    """Whether a smaller value than those of the training data is outside."""
-    above: bool = True
-    """Whether a larger one is."""
-    scale: Callable[[float], float] = float
-    """Increasing function of a value, of which the width of its range is taken."""
+    below: bool = True  # whether a smaller value than those of the training data is outside
+    above: bool = True  # whether a larger one is
+    scale: Callable[[float], float] = float  # increasing function of a value, of which the width of its range is taken
 
 
-ABSOLUTE = ("length", "density", "gravity")
-"""What a model that scales its scenes does not see."""
+ABSOLUTE = ("length", "density", "gravity")  # what a model that scales its scenes does not see
 
 
 def quantities(scene: Scene) -> dict[str, RangedQuantity]:
@@ -70,6 +62,7 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
     extents = [last - first for first, last in zip(low, high, strict=True)]
     rooms = [whole - extent for whole, extent in zip(scene.domain.size, extents, strict=True)]
     velocities = [mass.velocity for mass in masses]
+    chosen, by_itself = scene.volume_correction, replace(scene, volume_correction=None)
     elevation, roughness, steepness = terrain(scene, GROUND_SPACING * body.length)
     turbulences = [float(np.min(solid.turbulence)) for solid in scene.solids if solid.turbulence]
 
@@ -81,9 +74,7 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
     return {
         "friction_deg": angles((material.phi_deg for material in sand), scale=logarithm_of_tangent),
         "friction_limit_deg": angles(material.friction_limit_deg for material in sand),
-        "cohesion": stresses(
-            material.cohesion_at(depth) for mass, material in layers for depth in (0.0, height(scene, mass))
-        ),
+        "cohesion": stresses(material.cohesion_at(z) for mass, material in layers for z in (0.0, height(scene, mass))),
         "tension_cutoff": ranged(
             (material.tension_limit / material.cohesion for material in sand if material.cohesion > 0.0),
             "of the cohesion",
@@ -98,7 +89,8 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
             for mass, material in layers
         ),
         "barriers": ranged([sum(mass.release is not None for mass in masses) or None]),
-        "volume_correction": ranged(chosen_correction(scene)),
+        # Where a scene chooses what it would not have by itself.
+        "volume_correction": ranged([None if chosen == remembers_gaps(by_itself) else chosen]),
         "relaxation_time": ranged([scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)], "sqrt(cell / g)"),
         "floor_friction": ranged([coefficient(scene.floor_friction)]),
         "wall_friction": ranged([coefficient(scene.wall_friction)]),
@@ -128,9 +120,7 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
         "baffle_foot": lengths(baffle.lower[1] for baffle in baffles),
         "baffle_width": lengths(baffle.size[2] for baffle in baffles if len(baffle.size) > 2),
         # Along x from the masses, negative beside or beneath one.
-        "baffle_distance": lengths(
-            max(baffle.lower[0] - high[0], low[0] - baffle.lower[0] - baffle.size[0]) for baffle in baffles
-        ),
+        "baffle_distance": lengths(max(box.lower[0] - high[0], low[0] - box.lower[0] - box.size[0]) for box in baffles),
         "duration": ranged([scene.duration], "sqrt(l / g)", over=body.time, below=False),
         "spacing": lengths([scene.particle_spacing], below=False),
         "length": ranged([body.length], "m"),
@@ -139,18 +129,9 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
     }
 
 
-def chosen_correction(scene: Scene) -> list[float]:
-    """Whether gaps are corrected, 1 or 0, where a scene chooses what it would not have by itself; else none."""
-    chosen = scene.volume_correction
-    usual = chosen is None or chosen == remembers_gaps(replace(scene, volume_correction=None))
-    return [] if usual else [float(bool(chosen))]
-
-
 def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], list[float]]:
     """Relief [m], friction, and the steepest angle along an axis [deg] of the terrain, where there is one.
-
-    spacing: of its raster [m].
-    """
+    spacing: of its raster [m]."""
     if not scene.solids:
         return [], [], []
     elevation, friction, _ = ground_raster(scene, spacing)
@@ -160,16 +141,13 @@ def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], lis
 
 
 def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Range]:
-    """Least and greatest value of each quantity over `scenes`; without those that they have none of.
-
-    Particles may be as far apart as a cell of the model is long: it follows one of each cell.
-    """
+    """Least and greatest value of each quantity over `scenes`; without those that they have none of. Particles may be
+    as far apart as a cell of the model is long: it follows one of each cell."""
     gathered: dict[str, list[float]] = {}
     for scene in scenes:
         for name, quantity in quantities(scene).items():
             gathered.setdefault(name, []).extend(quantity.values)
-        body = settings.body_length or Units.of_body(scene).length
-        gathered["spacing"].append(settings.cell / body)
+        gathered["spacing"].append(settings.cell / (settings.body_length or Units.of_body(scene).length))
     return {
         name: (round(min(values), 9), round(max(values), 9))
         for name, values in gathered.items()

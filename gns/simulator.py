@@ -22,10 +22,8 @@ from gns.surroundings.contact import keep_out
 from gns.surroundings.forces import FORCES, Moment, Normalisation
 from gns.surroundings.state import Conditions, State, in_model_units
 
-AT_REST = 0.2
-"""Root mean square speed of a deposit at rest over the speed of rest, at most [-]."""
-STANDING = 2.0
-"""The same of a step from rest that no known law explains (`Moment.stands`) [-]: errors of a network are no forces."""
+AT_REST = 0.2  # root mean square speed of a deposit at rest over the speed of rest, at most [-]
+STANDING = 2.0  # the same of a step from rest that no known law explains (`Moment.stands`): it is an error [-]
 P = ParamSpec("P")
 
 
@@ -161,28 +159,22 @@ class Simulator(nn.Module):
 
 def moving(displacements: Tensor, limit: float, conditions: Conditions) -> Tensor:
     """1 for particles of flows whose displacements [m], [N, D], are above `limit` [m] (rms), else 0; shape [N or 1, 1].
-
-    Below it the deposit is at rest, as in a run of the MPM. Positions that rest have the gradient of those before.
-    """
+    Below it the deposit is at rest, as in a run of the MPM. Positions that rest have the gradient of those before."""
     square = displacements.detach().square().sum(dim=1, keepdim=True)
     return conditions.of_particles((conditions.total(square - limit**2) > 0.0).to(square))
 
 
 def settled(displacements: Tensor, limit: float) -> Tensor:
-    """Displacements [m], shape [N, D], of which those well below `limit` [m] fade: static friction.
-
-    Small errors of the acceleration no longer add up to a creep. Sand that begins to move exceeds the limit after one
-    step, unless its acceleration is below limit / dt^2.
-    """
+    """Displacements [m], shape [N, D], of which those well below `limit` [m] fade: static friction. Small errors of the
+    acceleration no longer add up to a creep. Sand that begins to move exceeds the limit after one step, unless its
+    acceleration is below limit / dt^2."""
     fourth = (displacements.square().sum(dim=1, keepdim=True) / limit**2).square()
     return displacements * (fourth / (1.0 + fourth))
 
 
 def on_threads(count: int, compute: Callable[P, Tensor], *args: P.args, **kwargs: P.kwargs) -> Tensor:
     """What `compute` returns, with so many threads of torch in it and in the backward pass through what it returns.
-
-    Afterwards torch has as many as before. Why few: `gns/__init__.py`.
-    """
+    Afterwards torch has as many as before. Why few: `gns/__init__.py`."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -244,10 +236,8 @@ def unroll(
 
 
 def step_activation_bytes(simulator: StepModel, state: State, conditions: Conditions) -> int:
-    """Memory that the activations of a step take until the backward pass [bytes].
-
-    Every storage that autograd saves is counted once, without weights and inputs.
-    """
+    """Memory that the activations of a step take until the backward pass [bytes]. Every storage that autograd saves is
+    counted once, without weights and inputs."""
     given = [*simulator.parameters(), *simulator.buffers(), conditions.friction, conditions.cohesion, conditions.volume]
     excluded = {tensor.untyped_storage().data_ptr() for tensor in given}
     # By address, with the storage itself: that of one which is freed could be another's.

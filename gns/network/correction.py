@@ -21,16 +21,11 @@ from gns.surroundings.contact import keep_out
 from gns.surroundings.forces import Moment
 from gns.surroundings.state import Conditions, State, columns
 
-WIDTH = 64
-"""Of its latent vectors; a wider one overfits."""
-NOISE = 0.2
-"""Standard deviation of what is added to the normalised features of a whole flow while training [-]."""
-DISPLACEMENT = 0.1
-"""Displacement over L that an output of one means [-]."""
-SMALLEST = 1.0e-3
-"""Standard deviation of a flow over L, below which a division by it fades [-]."""
-LARGEST = 5.0
-"""Of a normalised feature, by amount [-]."""
+WIDTH = 64  # of its latent vectors; a wider one overfits
+NOISE = 0.2  # standard deviation of what is added to the normalised features of a whole flow while training [-]
+DISPLACEMENT = 0.1  # displacement over L that an output of one means [-]
+SMALLEST = 1.0e-3  # standard deviation of a flow over L, below which a division by it fades [-]
+LARGEST = 5.0  # of a normalised feature, by amount [-]
 
 
 class Correction(nn.Module):

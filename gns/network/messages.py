@@ -33,13 +33,10 @@ LOG2_E = np.float32(1.4426950408889634)
 LN_2 = np.float32(0.6931471805599453)
 ZERO, ONE, FOUR = np.float32(0.0), np.float32(1.0), np.float32(4.0)
 C2, C3, C4, C5, C6 = (np.float32(1.0 / k) for k in (2, 6, 24, 120, 720))
-MAX_EXPONENT = np.float32(126.0)
-"""Exponents of a float32 lie within this on both sides of zero."""
-BIAS, MANTISSA_BITS = np.int32(127), np.int32(23)
-"""Layout of a float32."""
+MAX_EXPONENT = np.float32(126.0)  # exponents of a float32 lie within this on both sides of zero
+BIAS, MANTISSA_BITS = np.int32(127), np.int32(23)  # layout of a float32
 FLOOR = np.float32(SQUARE_FLOOR)
-FUSED = ("offset over the radius", "distance over the radius")
-"""The features of an edge that the kernels know."""
+FUSED = ("offset over the radius", "distance over the radius")  # the features of an edge that the kernels know
 
 
 def messages(receiver: Tensor, sender: Tensor, weight: Tensor, graph: Graph) -> Tensor:
@@ -107,9 +104,7 @@ class FusedSum(torch.autograd.Function):
 @numba.njit(inline="always", fastmath=FAST, error_model="numpy")
 def _sigmoid(h: Any) -> Any:
     """1 / (1 + exp(-h)) to a few units in the last place, without a call, which would keep the loop from vectors.
-
-    exp(-h) = 2^t = 2^n 2^f with |f| <= 1/2, and 2^f = exp(f ln 2) by its Taylor series.
-    """
+    exp(-h) = 2^t = 2^n 2^f with |f| <= 1/2, and 2^f = exp(f ln 2) by its Taylor series."""
     t = -h * LOG2_E
     t = t if t < MAX_EXPONENT else MAX_EXPONENT
     t = t if t > -MAX_EXPONENT else -MAX_EXPONENT

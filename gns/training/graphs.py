@@ -20,10 +20,9 @@ def graph_of(state: State, conditions: Conditions, settings: ModelSettings, norm
     `edge_attr`: `gns.network.features.EDGES`, shape [E, D + 1]; `pos`: positions [m], shape [N, D].
     """
     inputs = Inputs.of_moment(Moment(state, conditions, settings, normalisation))
-    senders, receivers = inputs.graph.edge_index
-    offset = inputs.graph.positions[senders] - inputs.graph.positions[receivers]
-    edges = computed(EDGES, offset)
-    return Data(x=inputs.features, edge_index=inputs.graph.edge_index, edge_attr=edges, pos=state.positions)
+    graph, (senders, receivers) = inputs.graph, inputs.graph.edge_index
+    edges = computed(EDGES, graph.positions[senders] - graph.positions[receivers])
+    return Data(x=inputs.features, edge_index=graph.edge_index, edge_attr=edges, pos=state.positions)
 
 
 class Graphs(torch.utils.data.Dataset[Data]):
