@@ -109,6 +109,8 @@ def describe(
     simulator: "Simulator", provenance: Mapping[str, Any], scenes: Mapping[str, Sequence[Scene]], scores: str = ""
 ) -> Card:
     """The card of a model of this history that was trained on these scenes, by definition or folder."""
+    from gns.network.features import NODES
+
     datasets = {}
     for name, some in scenes.items():
         across = [round(Units.of_body(scene).length / scene.domain.cell, 2) for scene in some]
@@ -117,7 +119,7 @@ def describe(
     command, updates = provenance.get("command", ""), total_updates(provenance) or None
     return Card(
         settings=simulator.settings,
-        features=simulator.features,
+        features={name: feature.count(simulator.settings) for name, feature in NODES.items()},
         normalisation={name: float(value) for name, value in simulator.named_buffers(recurse=False)},
         training=Training(command=command, seed=provenance.get("seed"), updates=updates),
         licence="MIT",

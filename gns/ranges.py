@@ -130,8 +130,7 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
 
 
 def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], list[float]]:
-    """Relief [m], friction, and the steepest angle along an axis [deg] of the terrain, where there is one.
-    spacing: of its raster [m]."""
+    """Relief [m], friction, steepest angle along an axis [deg] of the terrain, if any; spacing: of its raster [m]."""
     if not scene.solids:
         return [], [], []
     elevation, friction, _ = ground_raster(scene, spacing)
@@ -148,11 +147,9 @@ def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Ran
         for name, quantity in quantities(scene).items():
             gathered.setdefault(name, []).extend(quantity.values)
         gathered["spacing"].append(settings.cell / (settings.body_length or Units.of_body(scene).length))
-    return {
-        name: (round(min(values), 9), round(max(values), 9))
-        for name, values in gathered.items()
-        if values and (settings.body_length is None or name not in ABSOLUTE)
-    }
+    hidden = () if settings.body_length is None else ABSOLUTE
+    kept = {name: values for name, values in gathered.items() if values and name not in hidden}
+    return {name: (round(min(values), 9), round(max(values), 9)) for name, values in kept.items()}
 
 
 def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:

@@ -66,10 +66,9 @@ class Correction(nn.Module):
         whole = torch.cat((first, last, velocity), dim=1)
         middle = average(whole, conditions)
         here = whole - middle
-        spread = (average(here.square(), conditions) + SMALLEST**2).sqrt()
         begun, ended, thrown = middle.chunk(3, dim=1)
         own_first, own_last, _ = here.chunk(3, dim=1)
-        before, after, _ = spread.chunk(3, dim=1)
+        before, after, _ = (average(here.square(), conditions) + SMALLEST**2).sqrt().chunk(3, dim=1)
         places = (last - first, own_first, own_last, velocity, thrown, ended - begun, before, after, own_last / after)
         return torch.cat((nodes, *(place.expand_as(first) for place in places)), dim=1)
 

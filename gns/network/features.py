@@ -29,8 +29,8 @@ def constants(x: Moment) -> Tensor:
     conditions, normalisation = x.conditions, x.normalisation
     friction = (conditions.friction - normalisation.friction_mean) / normalisation.friction_std
     cohesion = 0.5 * (conditions.cohesion / REFERENCE_COHESION).log1p()
-    mean, deviation = ROUGHNESS
-    rough = (torch.stack((conditions.floor_friction, conditions.wall_friction), dim=1) - mean) / deviation
+    rough = torch.stack((conditions.floor_friction, conditions.wall_friction), dim=1)
+    rough = (rough - ROUGHNESS[0]) / ROUGHNESS[1]
     inclined = torch.full_like(conditions.gravity[0], INCLINED / GRAVITY)
     inclined[UP] = 1.0 / GRAVITY
     shared = torch.cat((rough, DAMPING * conditions.damping.unsqueeze(1), inclined * conditions.gravity), dim=1)

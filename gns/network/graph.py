@@ -34,8 +34,7 @@ class Graph:
 
 def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) -> Graph:
     """The graph of `positions` [m], shape [N, D], D at most 3: all pairs no further apart than `radius` [m].
-    batch: the sample that each particle belongs to, shape [N]; there are no edges between samples. Raises WorkFailed
-    for positions that are not finite."""
+    batch: sample of each particle, shape [N]; samples share no edges. Raises WorkFailed for positions not finite."""
     points = positions.detach().double().cpu().numpy()
     if not np.isfinite(points).all():
         raise WorkFailed("the positions of the particles are no longer finite numbers")

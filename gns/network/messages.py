@@ -29,8 +29,7 @@ from gns.surroundings.state import computed
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 """Sums may be reordered, which is what lets them fill vectors; NaN and infinity keep their meaning."""
-LOG2_E = np.float32(1.4426950408889634)
-LN_2 = np.float32(0.6931471805599453)
+LOG2_E, LN_2 = np.float32(1.4426950408889634), np.float32(0.6931471805599453)
 ZERO, ONE, FOUR = np.float32(0.0), np.float32(1.0), np.float32(4.0)
 C2, C3, C4, C5, C6 = (np.float32(1.0 / k) for k in (2, 6, 24, 120, 720))
 MAX_EXPONENT = np.float32(126.0)  # exponents of a float32 lie within this on both sides of zero
@@ -91,13 +90,8 @@ class FusedSum(torch.autograd.Function):
         """Gradients with respect to the first four inputs."""
         given = ctx.saved_tensors
         of_inputs = [torch.zeros_like(tensor) for tensor in given[:4]]
-        _gradients(  # type: ignore[call-arg]
-            *(tensor.detach().numpy() for tensor in given),
-            gradients[0].contiguous().numpy(),
-            *(gradient.numpy() for gradient in of_inputs),
-            ctx.needs_input_grad[2],
-            ctx.needs_input_grad[3],
-        )
+        arrays = [tensor.detach().numpy() for tensor in (*given, gradients[0].contiguous(), *of_inputs)]
+        _gradients(*arrays, *ctx.needs_input_grad[2:4])  # type: ignore[call-arg]
         return *of_inputs, None, None
 
 

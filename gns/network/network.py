@@ -37,8 +37,7 @@ class Interaction(nn.Module):
     """m [N, C] from node latents x [N, C] and a graph, by the messages of Sanchez-Gonzalez et al. 2020, made cheap.
     Their message is a network of [x_i, x_j, e_ij]. Its first layer splits into W_i x_i + W_j x_j + W_e e_ij, two of
     which are per node; its last layer is linear and follows the sum over the neighbours, in the update of the node.
-    What is left per edge is the sum in `gns.network.messages`. Edges carry no latents, their features enter each
-    step."""
+    What is left per edge is the sum in `gns.network.messages`; edges carry no latents."""
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
@@ -54,8 +53,7 @@ class Interaction(nn.Module):
 
 class MessagePassingStep(nn.Module):
     """One step: x_i <- x_i + mlp(y_i, sum of the messages to i), where y_i = (1 + g_i) norm(x_i) + b_i. Scale g and
-    shift b are linear in what is constant for a particle (FiLM: Perez et al., visual reasoning with a general
-    conditioning layer, AAAI 2018)."""
+    shift b are linear in what is constant for a particle (FiLM: Perez et al., AAAI 2018)."""
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()

@@ -16,12 +16,10 @@ GRAZE = 1.0e-3  # a path that cuts off less than this of a baffle's corner passe
 
 def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tensor:
     """Positions [m], shape [N, D], of particles that move from `before` towards `positions` and are stopped by solids.
-
     The walls of the box [0, size] and the ground stop them. A particle whose path enters or crosses a baffle is held at
     a distance SKIN from the first face on its path, and its motion along that face remains: the gradient in the corner
     is one. A particle that was inside before counts as having been at the nearest free face. Where turned baffles leave
-    no way along a face, as where it meets a wall at an acute angle, the particle stays where it was.
-    """
+    no way along a face, as where it meets a wall at an acute angle, the particle stays where it was."""
     size, batch, ground = conditions.of_particles(conditions.size), conditions.batch, conditions.ground
     kept = _clamped(positions, size)
     if ground is not None:
@@ -145,5 +143,4 @@ def lifted(points: Tensor, ground: Ground, batch: Tensor | None) -> Tensor:
     height = Below(points, ground, batch).value(ground.elevation)
     y = points[:, UP]
     # Not by torch.maximum, which would halve the gradient of a particle that rests exactly on the ground.
-    up = torch.where(height > y, height, y)
-    return torch.cat((points[:, :UP], up.unsqueeze(1), points[:, UP + 1 :]), dim=1)
+    return torch.cat((points[:, :UP], torch.where(height > y, height, y).unsqueeze(1), points[:, UP + 1 :]), dim=1)

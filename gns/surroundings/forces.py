@@ -71,12 +71,13 @@ class Moment:
         self.slow = torch.as_tensor(SLOW * scales.displacement_scale)
         self.weight = settings.density * GRAVITY
         self.fall = GRAVITY * settings.step**2
+        self.drag = None if conditions.ground is None else conditions.ground.drag
 
     @cached_property
     def solids(self) -> Tensor:
         """`solid_features`, shape [N, 3 D + 2]; Voellmy's turbulence as friction of a bed that is near."""
         nearby = solid_features(self.state.positions, self.conditions, self.settings.radius)
-        if self.conditions.ground is None or self.conditions.ground.drag is None:
+        if self.drag is None:
             return nearby
         near = 1.0 - nearby[:, -self.settings.dimension - 2]
         return torch.cat((nearby[:, :-1], (nearby[:, -1] + near * self.turbulence).unsqueeze(1)), dim=1)
@@ -85,12 +86,11 @@ class Moment:
     def turbulence(self) -> Tensor:
         """Voellmy's turbulence of the ground as a coefficient of friction, |v|^2 / (xi h) [-], shape [N]. Its traction
         rho g |v|^2 / xi over the pressure rho g h of the column of height h (Salm 1993)."""
-        conditions = self.conditions
-        if conditions.ground is None or conditions.ground.drag is None:
+        if self.drag is None:
             return torch.zeros_like(self.velocity[:, 0])
         square = self.velocity.square().sum(dim=1) / self.settings.step**2
         height = REFERENCE_HEIGHT * self.column[:, 2] + self.settings.cell
-        return (self.below.value(conditions.ground.drag) * square / height).clamp(max=LARGEST)
+        return (self.below.value(self.drag) * square / height).clamp(max=LARGEST)
 
     @cached_property
     def below(self) -> Below:
@@ -188,23 +188,16 @@ class Moment:
         fields = stencil.within(fields, conditions.size, axes)
         gradient = [torch.gradient(fields, spacing=cell, dim=axis + 1)[0] for axis in axes]
         mean = sum(gradient[axis][..., axis] for axis in axes) / dimension
-        rate = {
-            (i, j): 0.5 * (gradient[j][..., i] + gradient[i][..., j]) - (mean if i == j else 0.0)
-            for i in axes
-            for j in range(i, dimension)
-        }
+        pairs = [(i, j) for i in axes for j in range(i, dimension)]
+        rate = {(i, j): 0.5 * (gradient[j][..., i] + gradient[i][..., j]) - (mean if i == j else 0) for i, j in pairs}
         square = sum((1.0 if i == j else 2.0) * part.square() for (i, j), part in rate.items())
         # Not the root alone: it has no slope at zero.
         slow = self.slow / cell
         scale = fields[..., dimension] / ((0.5 * square + slow**2).sqrt() + slow)
         stress = stencil.within(torch.stack([scale * part for part in rate.values()], dim=-1), conditions.size, axes)
         slopes = [torch.gradient(stress, spacing=cell, dim=axis + 1)[0] for axis in axes]
-        index = {pair: number for number, pair in enumerate(rate)}
-        divergence = [
-            torch.stack([slopes[j][..., index[min(i, j), max(i, j)]].reshape(-1) for j in axes]).sum(dim=0)
-            for i in axes
-        ]
-        shear = torch.stack(divergence, dim=1) / filled.clamp(min=LOOSE)
+        terms = [[slopes[j][..., pairs.index((min(i, j), max(i, j)))].reshape(-1) for j in axes] for i in axes]
+        shear = torch.stack([torch.stack(row).sum(dim=0) for row in terms], dim=1) / filled.clamp(min=LOOSE)
         pressure = -torch.stack([gradient[axis][..., dimension + 1].reshape(-1) for axis in axes], dim=1)
         return stencil.gather(LARGEST * torch.tanh(torch.cat((shear, pressure), dim=1) / LARGEST))
 

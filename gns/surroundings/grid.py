@@ -25,9 +25,8 @@ CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # of a box in it
 
 @dataclass(frozen=True, kw_only=True)
 class Stencil:
-    """The grid nodes around each particle and their weights. The grid of a sample covers its particles alone, with
-    nodes at whole multiples of the cell from the box's lower corner. Grid values are flat, shape [B * nodes, C], node
-    index fastest in the last axis of `shape`."""
+    """The grid nodes around each particle and their weights. A sample's grid covers its particles alone, its nodes at
+    multiples of the cell from the box's lower corner. Values are flat, [B * nodes, C], fastest in the last axis."""
 
     shape: tuple[int, ...]  # grid nodes along each axis, of all samples alike
     origin: Tensor  # the first node of each sample, counted from the lower corner of its box, int64, shape [B, D]
@@ -52,10 +51,8 @@ class Stencil:
 
     def coordinates(self, like: Tensor) -> list[Tensor]:
         """Positions of the nodes along each axis [m], each of shape [B, nodes along it], of the type of `like`."""
-        return [
-            self.cell * (self.origin[:, axis, None] + torch.arange(count, device=like.device)).to(like.dtype)
-            for axis, count in enumerate(self.shape)
-        ]
+        counted = [torch.arange(count, device=like.device) for count in self.shape]
+        return [self.cell * (self.origin[:, i, None] + nodes).to(like.dtype) for i, nodes in enumerate(counted)]
 
     def within(self, field: Tensor, size: Tensor, axes: Iterable[int]) -> Tensor:
         """A field [B, X, Y(, Z), ...] whose values beyond the walls across `axes` are those of the last node before: a

@@ -76,8 +76,7 @@ class Below:
 
     def __init__(self, positions: Tensor, ground: Ground, batch: Tensor | None) -> None:
         """positions: [m], shape [N, D]; batch: sample of each particle, shape [N], absent where there is one."""
-        self._shape = ground.elevation.shape[1:]
-        self._spacing = ground.spacing
+        self._shape, self._spacing = ground.elevation.shape[1:], ground.spacing
         index: Tensor | int = 0 if batch is None else batch
         self._shares = []
         for axis, count in zip(plan_axes(positions.shape[1]), self._shape, strict=True):
@@ -128,8 +127,8 @@ def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     n is a solid's outward unit normal and mu its friction. All of it is continuous where another solid becomes the
     nearest, and where the last one leaves the cutoff.
     """
-    beyond = conditions.of_particles(conditions.size) - positions
-    walls = (torch.cat((positions, beyond), dim=1) / cutoff).clamp(max=1.0)
+    above = conditions.of_particles(conditions.size) - positions
+    walls = (torch.cat((positions, above), dim=1) / cutoff).clamp(max=1.0)
     near = []
     if conditions.baffles is not None:
         near.append(nearest_baffle(positions, conditions, cutoff))
@@ -156,8 +155,7 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     """Signed distance [m], shape [N], of the nearest baffle; outward direction [-], [N, D], and friction [-], [N].
     Direction and friction as `solid_features` weighs them. With q = |x| - half the box, per axis and x from its middle
     in its own axes, the distance of a box is |max(q, 0)| outside and max(q), negative, inside (the exact distance
-    function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1). It is cut off at `cutoff`
-    [m]."""
+    function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1), at most `cutoff` [m]."""
     direction = torch.zeros_like(positions)
     distance, rough = torch.full_like(direction[:, 0], cutoff), torch.zeros_like(direction[:, 0])
     boxes = Boxes.of_conditions(conditions)
@@ -177,30 +175,21 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     nearest = distances.min(dim=1).values.clamp(max=cutoff)
     assert conditions.baffle_friction is not None
     friction = conditions.baffle_friction.index_select(0, row)
-    return (
-        distance.index_copy(0, near, nearest),
-        direction.index_copy(0, near, (weight.unsqueeze(2) * normals).sum(dim=1)),
-        rough.index_copy(0, near, (weight * friction).sum(dim=1)),
-    )
+    distance = distance.index_copy(0, near, nearest)
+    direction = direction.index_copy(0, near, (weight.unsqueeze(2) * normals).sum(dim=1))
+    return distance, direction, rough.index_copy(0, near, (weight * friction).sum(dim=1))
 
 
 def close_to(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Particles whose way from `first` to `last` [N, D] comes within about `margin` [m] of a baffle: index, sample.
-    Boxes are compared along the axes of the scene, and first a single one around all of a sample's baffles."""
+    """Particles whose way from `first` to `last` [N, D] comes within about `margin` [m] of a baffle: index, sample."""
     with torch.no_grad():
-        low, high = torch.minimum(first, last), torch.maximum(first, last)
+        low, high = torch.minimum(first, last).unsqueeze(1), torch.maximum(first, last).unsqueeze(1)
         # Of a turned box the extent along the axes of the scene.
         half = boxes.half if boxes.turn is None else rotated(boxes.half, *map(torch.abs, boxes.turn), symmetric=True)
         lower, upper = boxes.middle - half - margin, boxes.middle + half + margin
-        if batch is None:
-            ends = lower.amin(dim=1), upper.amax(dim=1)
-            some = ((low < ends[1]) & (high > ends[0])).all(dim=1).nonzero().squeeze(1)
-            low, high = low.index_select(0, some).unsqueeze(1), high.index_select(0, some).unsqueeze(1)
-        else:
-            # Absent baffles are far outside: all that they would add to such a box is room.
-            some = torch.arange(len(low), device=low.device)
-            low, high, lower, upper = low.unsqueeze(1), high.unsqueeze(1), lower[batch], upper[batch]
-        near = some[((low < upper) & (high > lower)).all(dim=2).any(dim=1)]
+        if batch is not None:
+            lower, upper = lower[batch], upper[batch]
+        near = ((low < upper) & (high > lower)).all(dim=2).any(dim=1).nonzero().squeeze(1)
         return near, torch.zeros_like(near) if batch is None else batch.index_select(0, near)
 
 

@@ -122,8 +122,7 @@ def fit(
         run = TrainingRun(simulator.to(where), flows, training, out, seed)
         if resume:
             run.restore()
-        older = None if begin is None else dict(begin.provenance)
-        provenance = {"command": " ".join([command, *sys.argv[1:]]), "seed": seed, "begin": older}
+        provenance = {"command": " ".join([command, *sys.argv[1:]]), "seed": seed, "begin": begin and begin.provenance}
         provenance |= {"datasets": [str(path) for path in datasets], "training": asdict(training)}
         position, bar = run.position, stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not first))
         stop = stack.enter_context(stopping())
@@ -316,10 +315,8 @@ def continued(model: Model, settings: ModelSettings, training: TrainingSettings)
     if not training.correct:
         simulator.correction = None
         return simulator.train().requires_grad_(True)
-    simulator.requires_grad_(False)
-    if simulator.correction is None:
-        simulator.correction = Correction(settings)
-    simulator.correction.train().requires_grad_(True)
+    correction = simulator.requires_grad_(False).correction or Correction(settings)
+    simulator.correction = correction.train().requires_grad_(True)
     return simulator
 
 

@@ -32,6 +32,7 @@ MARGIN = 1.5  # some batches have more neighbours a particle than the one whose 
 PLACE, END, SHARE = 0.1, 0.03, 0.02
 NORMALISED = 24  # batches by which the features of a new correction are normalised
 CONSTANT = 1.0e-3  # standard deviation of a feature below which it counts as constant [-]
+HALF_PRECISION = bool(torch.cpu.get_capabilities().get("avx512_bf16"))  # whether products in bfloat16 are faster here
 OF_ENDS = 0.3  # weight of each of the last two
 
 
@@ -43,7 +44,7 @@ class UnrolledLoss(nn.Module):
         self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
         self.density = partial(density_loss, cell=simulator.settings.grid_cell, weight=training.density_weight)
         self._particle_bytes = 0.0
-        simulator.network.half_precision = half_precision()
+        simulator.network.half_precision = HALF_PRECISION
 
     def forward(self, batch: SampleBatch) -> Tensor:
         """The loss of unrolling `batch` to its last target."""
@@ -57,8 +58,7 @@ class UnrolledLoss(nn.Module):
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
-    """The loss of a rollout. positions: of the model at the start and after each step [m], shape [K + 1, N, D];
-    targets: [m], shape [K, N, D]; scale: s [m]."""
+    """The loss of a rollout; positions: from its start on [m], [K + 1, N, D]; targets: [m], [K, N, D]; scale: s [m]."""
     steps = torch.arange(1, len(targets) + 1, device=targets.device).view(-1, 1, 1)
     error = (positions[1:] - targets) / scale
     before = torch.cat((torch.zeros_like(error[:1]), error[:-1]))
@@ -103,10 +103,9 @@ class EndLoss(nn.Module):
         assert simulator.correction is not None
         self.simulator, self.correction = simulator, simulator.correction
         self.density = partial(density_loss, cell=simulator.settings.grid_cell, weight=training.density_weight)
-        self.correction.network.half_precision = half_precision()
+        self.correction.network.half_precision = HALF_PRECISION
         if (self.correction.std != 1.0).any():
-            # Normalised before.
-            return
+            return  # normalised before
         features = []
         for ends in (rollouts.batch(0, np.random.default_rng(number)) for number in range(NORMALISED)):
             end = simulator.moment(ends.end, ends.conditions)
@@ -128,8 +127,3 @@ class EndLoss(nn.Module):
         off = (torch.stack(extents) - batch.whole) / batch.whole[..., :2].sum(dim=2, keepdim=True)
         loss = huber(error) + OF_ENDS * huber(off[..., :2] / END) + OF_ENDS * huber(off[..., 2:] / SHARE)
         return loss + self.density(positions, batch.targets[-1], conditions)
-
-
-def half_precision() -> bool:
-    """Whether products in bfloat16 are faster here."""
-    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))

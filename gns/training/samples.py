@@ -89,8 +89,7 @@ def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bo
 
 def flow_of(path: Path, settings: ModelSettings) -> Flow:
     """The flow in a file, every so many frames that they are a step of the model apart. Its units are those in which a
-    rollout of the scene runs where its frames are apart by such a step; others are run as they are. Raises
-    InputError."""
+    rollout of the scene runs where its frames fit such a step; others are run as they are. Raises InputError."""
     trajectory = open_trajectory(path)
     scene, frame_dt = trajectory.scene, trajectory.frame_dt
     check(scene, settings)
@@ -209,10 +208,8 @@ class Rollouts(Sampler):
         last = len(flow.positions) - 1
         now, seed = self._start(flow, last - 1, rng), rng.integers(2**32)
         steps, every = last - now, replace(self._settings, particles_per_cell=len(flow.volume))
-        sample, whole = (
-            turned(stretch(flow, settings, now=now, steps=steps, rng=rng), np.random.default_rng(seed))
-            for settings in (self._settings, every)
-        )
+        drawn = (stretch(flow, settings, now=now, steps=steps, rng=rng) for settings in (self._settings, every))
+        sample, whole = (turned(part, np.random.default_rng(seed)) for part in drawn)
         there = sample.to(self._simulator.displacement_scale.device)
         with torch.no_grad():
             positions = unroll(self._simulator, there.state, there.conditions, steps, corrected=False).cpu()
@@ -306,11 +303,9 @@ def statistics(datasets: Sequence[Sequence[Flow]]) -> tuple[Normalisation, float
             squares += [np.square(change, dtype=np.float64).sum() for change in (moved, then - moved - fall)]
             upward += float((then - moved - fall)[:, 1].sum(dtype=np.float64))
             count, size = count + len(moved), size + moved.size
-    displacement, acceleration = np.sqrt(squares / max(size, 1)).tolist()
+    displacement, acceleration = (scale or 1.0 for scale in np.sqrt(squares / max(size, 1)).tolist())
+    mean, std = float(np.mean(friction)), float(np.std(friction)) or 1.0
     normalisation = Normalisation(
-        displacement_scale=displacement or 1.0,
-        acceleration_scale=acceleration or 1.0,
-        friction_mean=float(np.mean(friction)),
-        friction_std=float(np.std(friction)) or 1.0,
+        displacement_scale=displacement, acceleration_scale=acceleration, friction_mean=mean, friction_std=std
     )
-    return normalisation, upward / max(count, 1) / (acceleration or 1.0)
+    return normalisation, upward / max(count, 1) / acceleration

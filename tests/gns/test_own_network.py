@@ -1,7 +1,7 @@
 """A network of one's own: what it must have, where it is taken, on how many threads it runs."""
 
-import dataclasses
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,7 @@ class Forgetful(Braked):
 
     def forward(self, state: State, conditions: Conditions) -> State:
         after = super().forward(state, conditions)
-        return dataclasses.replace(after, displacements=after.displacements[-1:])
+        return replace(after, displacements=after.displacements[-1:])
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_rollouts_and_their_gradients_run_on_one_thread() -> None:
     class Watched(Braked):
         def forward(self, state: State, conditions: Conditions) -> State:
             after = super().forward(state, conditions)
-            return dataclasses.replace(after, positions=Counted.apply(after.positions))
+            return replace(after, positions=Counted.apply(after.positions))
 
     settings = ModelSettings(cell=0.01, body_length=0.1)
     problem = problem_of(2, "friction_deg")

@@ -1,6 +1,6 @@
 """The correction of a rollout's end: what it keeps, what it learns, and where it is left out."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +60,7 @@ def test_the_gradient_of_a_corrected_end_is_that_of_differences(corrected: Simul
     state, conditions = (part.to(dtype=torch.float64) for part in cloud(lower=(0.3, 0.2), velocity=(0.5, 0.0)))
 
     def mean_x(friction: torch.Tensor) -> torch.Tensor:
-        changed = dataclasses.replace(conditions, friction=conditions.friction + friction)
+        changed = replace(conditions, friction=conditions.friction + friction)
         return unroll(corrected, state, changed, 5)[-1, :, 0].mean()
 
     change, step = torch.zeros((), dtype=torch.float64, requires_grad=True), 1e-6

@@ -1,6 +1,6 @@
 """Samples as graphs of PyTorch Geometric: what Talus's own network is given, and the acceleration that is right."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from tests.refusals import refused
 
 
 def test_graphs_hold_the_steps_of_all_flows(dataset: Path, settings: ModelSettings, lively: Simulator) -> None:
-    settings = dataclasses.replace(settings, rest_speed=0.0)
+    settings = replace(settings, rest_speed=0.0)
     graphs, flows = graphs_of(dataset, settings), flows_of(dataset, "train", settings)
     assert len(graphs) == sum(len(flow.positions) - 1 for flow in flows) == 100
     for number, (flow, now) in {0: (0, 0), 24: (0, 24), 25: (1, 0), 61: (2, 11), 99: (3, 24)}.items():
@@ -53,7 +53,7 @@ def test_a_loader_puts_graphs_side_by_side(dataset: Path, settings: ModelSetting
 
 
 def test_from_a_disturbed_state_the_acceleration_leads_to_the_target(dataset: Path, settings: ModelSettings) -> None:
-    settings = dataclasses.replace(settings, rest_speed=0.0)
+    settings = replace(settings, rest_speed=0.0)
     torch.manual_seed(0)
     clean, noisy = graphs_of(dataset, settings), graphs_of(dataset, settings, noise=0.5)
     scale, moved, past = clean.normalisation.displacement_scale, [], []
