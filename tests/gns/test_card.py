@@ -42,8 +42,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_card_says_what_the_model_is(model: Path) -> None:
     model_card = card.read(model)
-    simulator = checkpoint.load(model).simulator
-    first = simulator.network.encoder.mlp[0]
+    first = checkpoint.load(model).simulator.network.encoder.mlp[0]
     assert sum(model_card.features.values()) == first.in_features
     assert model_card.settings == SCALED
     assert model_card.normalisation["friction_mean"] == pytest.approx(NORMALISATION.friction_mean)
@@ -105,9 +104,7 @@ OUTSIDE: dict[str, Callable[[], Scene]] = {
     "room_along": lambda: with_mass(size=(0.95, 0.4)),
     "speed": lambda: with_mass(velocity=(4.0, 0.0)),
     "spin": lambda: with_mass(angular_velocity=5.0),
-    "baffles": lambda: column(
-        baffles=tuple(Baffle(lower=(0.3 + 0.08 * row, 0.0), size=(0.02, 0.05)) for row in range(8))
-    ),
+    "baffles": lambda: column(baffles=tuple(Baffle(lower=(0.3 + 0.08 * i, 0.0), size=(0.02, 0.05)) for i in range(8))),
     "baffle_distance": lambda: column(
         domain=Domain(size=(3.0, 1.0), cell=0.01), baffles=(Baffle(lower=(2.0, 0.0), size=(0.1, 0.1)),)
     ),
@@ -147,9 +144,7 @@ def test_a_quantity_outside_is_named_with_its_range_and_by_how_much(model: Path)
 def test_the_band_is_that_of_the_narrowest_dataset_that_holds_the_scene(model: Path) -> None:
     wide = card.read(model).datasets["flow2d"]
     narrow = replace(wide, ranges=wide.ranges | {"friction_deg": (40.0, 45.0)})
-    bands = {
-        name: Calibration(front={"0.95": q}, profile={"0.95": q}, flows=20) for name, q in (("a", 0.2), ("b", 0.1))
-    }
+    bands = {key: Calibration(front={"0.95": q}, profile={"0.95": q}, flows=20) for key, q in (("a", 0.2), ("b", 0.1))}
     model_card = replace(card.read(model), datasets={"a": wide, "b": narrow}).keeping(bands)
     assert model_card.calibration(sand(friction_deg=42.0)) == bands["b"]
     assert model_card.calibration(sand(friction_deg=30.0)) == bands["a"]

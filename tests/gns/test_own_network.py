@@ -60,10 +60,6 @@ def test_it_is_scored_calibrated_and_predicts_a_band(settings: ModelSettings, da
     refused(gns.predict, scene, model=model, said="calibration: expected a calibration, by gns.score.calibrated")
 
 
-class Nothing(nn.Module):
-    """Without settings."""
-
-
 class OfGraph(nn.Module):
     """With another forward."""
 
@@ -92,7 +88,7 @@ class Forgetful(Braked):
     ("model", "said"),
     [
         (print, "model: expected a torch.nn.Module with settings and forward(state, conditions)"),
-        (Nothing(), "Nothing.settings: expected gns.settings.ModelSettings, got None"),
+        (nn.ReLU(), "ReLU.settings: expected gns.settings.ModelSettings, got None"),
         (OfGraph(), "OfGraph.forward: expected forward(state, conditions), got forward(x: "),
         (Positions(ModelSettings()), "forward: expected a State of shapes"),
         (Forgetful(ModelSettings()), "forward: expected a State of shapes"),

@@ -64,9 +64,8 @@ def test_new_flows_are_within_as_often_as_the_level_says(heavy: bool, count: int
         band, errors = calibrated(scores_of(drawn(count))).front, np.abs(drawn(200))
         shares.append([np.mean(errors <= band[f"{level:g}"]) for level in card.LEVELS])
     # Split conformal prediction: level to level + 1 / (n + 1).
-    assert np.mean(shares, axis=0) == pytest.approx(
-        np.add(card.LEVELS, 0.5 / (count + 1)), abs=0.02 + 0.5 / (count + 1)
-    )
+    half = 0.5 / (count + 1)
+    assert np.mean(shares, axis=0) == pytest.approx(np.add(card.LEVELS, half), abs=0.02 + half)
 
 
 @pytest.fixture
@@ -146,9 +145,7 @@ def flying(flow: Flow) -> Flow:
     return replace(flow, positions=positions.astype(np.float32), velocity0=velocity0)
 
 
-def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
-    simulator: Simulator, settings: ModelSettings, dataset: Path
-) -> None:
+def test_flight_is_right_and_a_collapse_wrong(simulator: Simulator, settings: ModelSettings, dataset: Path) -> None:
     flows = flows_of(dataset, "valid", settings)
     wrong = evaluate(simulator, [flows[1]])[0]
     # With all particles, so that nothing is missing of the cloud.

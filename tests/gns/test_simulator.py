@@ -85,9 +85,7 @@ def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> No
     assert moving(torch.tensor([[0.1, 0.0], [0.0, 0.0], [2.0, 0.0]]), 1.0, two).flatten().tolist() == [0.0, 0.0, 1.0]
 
 
-def test_a_rollout_of_a_flow_that_rests_takes_no_more_steps(
-    lively: Simulator, cloud: Cloud, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flow_at_rest_takes_no_more_steps(lively: Simulator, cloud: Cloud, monkeypatch: pytest.MonkeyPatch) -> None:
     state, conditions = cloud(lower=(0.4, 0.4))
     still = replace(conditions, gravity=torch.zeros(1, 2))
     lively.eval().settings = replace(lively.settings, rest_speed=10.0)
@@ -261,8 +259,7 @@ def figures(flow: Trajectory, column: float) -> dict[str, Any]:
 @pytest.mark.parametrize("name", MPM)
 def test_a_shipped_model_is_as_near_to_the_mpm_as_its_card_says(name: str) -> None:
     scene, expected = read_scene(name), MPM[name]
-    model_card = card.read(shipped(scene))
-    band = model_card.calibration(scene)
+    band = card.read(shipped(scene)).calibration(scene)
     deposit = figures(gns.simulate(scene), expected["column"])
     rear, front = expected["ends"]
     assert deposit["ends"][1] == pytest.approx(front, abs=BANDS * band.front["0.95"] * (front - rear))

@@ -121,8 +121,7 @@ def test_a_gradient_that_is_not_finite_ends_the_run_and_leaves_an_older_file(
     assert run(dataset, tmp_path, "--updates", "3", "--resume") == 1
     assert "the gradient of update 3 is not finite; last.pt is older and whole" in capsys.readouterr().err
     assert (tmp_path / LAST).read_bytes() == before
-    model_card = card.read(tmp_path / "best.safetensors")
-    assert model_card.training.updates == 2
+    assert card.read(tmp_path / "best.safetensors").training.updates == 2
 
 
 def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,9 +48,7 @@ def test_a_flow_takes_every_so_many_frames(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("body_length", [None, 0.1])
-def test_training_and_rollout_give_the_network_the_same_numbers(
-    body_length: float | None, simulator: Simulator, tmp_path: Path
-) -> None:
+def test_training_sees_what_a_rollout_does(body_length: float | None, simulator: Simulator, tmp_path: Path) -> None:
     """Of masses whose cohesion grows with depth and whose friction varies, over terrain and before a baffle."""
     clay = Material(friction_deg=25.0, cohesion=200.0, strength_gradient=3.0e3)
     ramp = Solid(kind="terrain", points=((0.0, 0.1), (0.4, 0.0), (0.6, 0.0)), friction=0.5)
@@ -98,9 +96,7 @@ def test_training_and_rollout_give_the_network_the_same_numbers(
 
 
 @pytest.mark.parametrize(("now", "given"), [(0, []), (2, [0, 1, 2]), (6, [3, 4, 5, 6])])
-def test_a_stretch_gives_the_past_that_there_is(
-    flows: Flows, settings: ModelSettings, now: int, given: list[int]
-) -> None:
+def test_a_stretch_gives_the_known_past(flows: Flows, settings: ModelSettings, now: int, given: list[int]) -> None:
     flow, every = flows[0], replace(settings, particles_per_cell=4)
     sample = stretch(flow, every, now=now, steps=3, rng=np.random.default_rng(0))
     state, past = sample.state, np.diff(flow.positions[given], axis=0)
@@ -156,8 +152,7 @@ def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSetting
     assert {int(sample.state.displacements.any(dim=2).any(dim=1).sum()) for sample in drawn} == {0, 1, 2, 3}
     assert all(len(sample.targets) == 4 for sample in drawn)
     # The columns lean on the left wall; mirrored ones on the right.
-    mirrored = {bool(sample.state.positions[:, 0].mean() > 0.3) for sample in drawn}
-    assert mirrored == {False, True}
+    assert {bool(sample.state.positions[:, 0].mean() > 0.3) for sample in drawn} == {False, True}
     for sample in drawn:
         assert sample.conditions.volume.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
 
@@ -292,8 +287,7 @@ def gradients(simulator: Simulator, samples: list[SampleBatch]) -> dict[str, tor
 
 def work(number: int, port: str, simulator: Simulator, parts: list[list[SampleBatch]], out: Path) -> None:
     """One of two processes."""
-    common = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2"}
-    os.environ.update(common | {"RANK": str(number)})
+    os.environ.update(MASTER_ADDR="127.0.0.1", MASTER_PORT=port, WORLD_SIZE="2", RANK=str(number))
     with joined("cpu"):
         torch.save(gradients(simulator, parts[rank()]), out / f"{rank()}.pt")
 
@@ -303,9 +297,7 @@ def test_two_processes_give_the_mean_of_their_gradients(
 ) -> None:
     simulator, rng = lively.double(), np.random.default_rng(0)
     flows = flows_of(dataset, "train", settings)
-    samples = [
-        stretch(flow, settings, now=now, steps=STEPS, rng=rng) for flow, now in zip(flows, (0, 5, 9), strict=False)
-    ]
+    samples = [stretch(flow, settings, now=t, steps=STEPS, rng=rng) for flow, t in zip(flows, (0, 5, 9), strict=False)]
     parts = [samples[:2], samples[2:]]
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
