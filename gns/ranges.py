@@ -95,7 +95,7 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
         "floor_friction": ranged([coefficient(scene.floor_friction)]),
         "wall_friction": ranged([coefficient(scene.wall_friction)]),
         "baffle_friction": ranged(coefficient(scene.friction_of(baffle)) for baffle in baffles),
-        "channel": lengths([scene.channel and scene.channel.width]),
+        "channel": lengths([scene.channel.width if scene.channel else None]),
         "ground_friction": ranged(roughness),
         "ground_turbulence": ranged(turbulences, "g", over=scene.gravity, above=False, scale=logarithm),
         "ground_deg": angles(steepness, below=False),

@@ -201,7 +201,7 @@ def _buried(ground: Ground, begin: list[Tensor], end: list[Tensor]) -> Tensor:
     dimension = len(begin)
     middles = [spread(0.5 * (begin[axis] + end[axis]), axis, dimension) for axis in range(dimension)]
     middles[UP] = torch.zeros_like(middles[UP][:, :, :1])
-    shape = torch.broadcast_shapes(*(middle.shape for middle in middles))
+    shape = [len(begin[0]), *(middle.shape[axis + 1] for axis, middle in enumerate(middles))]
     points = torch.stack([middle.expand(shape).flatten() for middle in middles], dim=1)
     batch = torch.arange(shape[0], device=points.device).repeat_interleave(math.prod(shape[1:]))
     elevation = Below(points, ground, batch).value(ground.elevation).view(shape)

@@ -183,7 +183,7 @@ class TrainingRun:
         matrices = [weight for weight in self.free if weight.dim() == 2]
         muon = torch.optim.Muon(matrices, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
         adam = torch.optim.Adam([weight for weight in self.free if weight.dim() != 2])
-        self.optimisers = muon, adam
+        self.optimisers: tuple[torch.optim.Optimizer, ...] = muon, adam
         self.parts: dict[str, Any] = {"weights": simulator, "average": self.average, "muon": muon, "adam": adam}
         self.position = Position()
 
