@@ -95,8 +95,7 @@ class Forgetful(Braked):
     ],
 )
 def test_what_is_no_model_is_named_in_a_line(model: Any, said: str) -> None:
-    scene = scene_of(Mass(lower=(0.1, 0.4), size=(0.1, 0.1)), duration=0.1)
-    refused(gns.simulate, scene, model=model, said=said)
+    refused(gns.simulate, scene_of(Mass(lower=(0.1, 0.4), size=(0.1, 0.1)), duration=0.1), model=model, said=said)
 
 
 class Counted(torch.autograd.Function):

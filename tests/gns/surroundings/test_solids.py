@@ -25,8 +25,7 @@ def of_baffles(points: Tensor, baffles: Tensor, **more: Any) -> tuple[Tensor, ..
 def near_surfaces(baffles: Tensor, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
     """Points around the boxes of both samples, outside and inside, and their samples."""
     batch = torch.randint(len(baffles), (count,), generator=generator)
-    number = torch.randint(2, (count,), generator=generator)
-    box = baffles[batch, number]
+    box = baffles[batch, torch.randint(2, (count,), generator=generator)]
     share = 2.0 * torch.rand(count, baffles.shape[3], generator=generator, dtype=baffles.dtype) - 0.5
     return box[:, 0] + share * (box[:, 1] - box[:, 0]), batch
 

@@ -23,8 +23,7 @@ def test_graphs_hold_the_steps_of_all_flows(dataset: Path, settings: ModelSettin
     assert len(graphs) == sum(len(flow.positions) - 1 for flow in flows) == 100
     for number, (flow, now) in {0: (0, 0), 24: (0, 24), 25: (1, 0), 61: (2, 11), 99: (3, 24)}.items():
         graph = graphs[number]
-        rng = np.random.default_rng(number)
-        sample = stretch(flows[flow], settings, now=now, steps=1, rng=rng)
+        sample = stretch(flows[flow], settings, now=now, steps=1, rng=np.random.default_rng(number))
         inputs = Inputs.of_moment(Moment(sample.state, sample.conditions, settings, graphs.normalisation))
         assert torch.equal(graph.x, inputs.features)
         assert torch.equal(graph.edge_index, inputs.graph.edge_index)
@@ -33,8 +32,8 @@ def test_graphs_hold_the_steps_of_all_flows(dataset: Path, settings: ModelSettin
         torch.testing.assert_close(graph.edge_attr[:, :2], offset, atol=1e-5, rtol=0.0)
         torch.testing.assert_close(graph.edge_attr[:, 2], offset.norm(dim=1), atol=1e-5, rtol=0.0)
         # With its acceleration a step leads to the target.
-        change = graphs.normalisation.acceleration_scale * graph.y
-        after = advanced(sample.state, sample.conditions, change, settings)
+        scale = graphs.normalisation.acceleration_scale
+        after = advanced(sample.state, sample.conditions, scale * graph.y, settings)
         torch.testing.assert_close(after.positions, sample.targets[0], atol=1e-6, rtol=0.0)
     assert torch.equal(graphs[-1].y, graphs[99].y)
     with pytest.raises(IndexError):
@@ -57,10 +56,9 @@ def test_from_a_disturbed_state_the_acceleration_leads_to_the_target(dataset: Pa
     torch.manual_seed(0)
     clean, noisy = graphs_of(dataset, settings), graphs_of(dataset, settings, noise=0.5)
     scale, moved, past = clean.normalisation.displacement_scale, [], []
-    columns = slice(4, 6)
     for number in range(5, 20):
         pure, graph = clean[number], noisy[number]
-        walk = scale * (graph.x - pure.x)[:, columns]
+        walk = scale * (graph.x - pure.x)[:, 4:6]
         # x + v + a is the same place, for the noise in all of them.
         change = clean.normalisation.acceleration_scale * (graph.y - pure.y) + walk + graph.pos - pure.pos
         torch.testing.assert_close(change, torch.zeros_like(change), atol=1e-6, rtol=0.0)

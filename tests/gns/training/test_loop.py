@@ -177,9 +177,8 @@ def test_validations_take_their_share_of_the_minutes(cost: float, count: int) ->
     assert len(position.validated) == count
     assert count == 2 or sum(position.validated) <= 0.15 * 240.0
     # With a number of updates their times do not depend on the machine.
-    counted = replace(training, updates=24)
     later = Position(seconds=60.0, updates=4, scored=(30.0, 2), validated=[1e3])
-    assert later.due(counted)
+    assert later.due(replace(training, updates=24))
     assert not later.due(training)
 
 
@@ -192,9 +191,9 @@ def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path)
         ("terrain", {"solids": (ramp,)}),
         ("wide", {"domain": Domain(size=(0.8, 0.4), cell=0.01)}),
     ):
-        scene = replace(column.scene, **change)
         for split in ("train", "valid"):
-            replace(column, scene=scene).save(tmp_path / "data" / split / f"{name}.npz")
+            flow = replace(column, scene=replace(column.scene, **change))
+            flow.save(tmp_path / "data" / split / f"{name}.npz")
     flags = [*TINY, "--updates", "2", "--batch", "4", "--shares", "3", "--shares", "1"]
     flags[flags.index("--validate-flows") + 1] = "4"
     both = [str(tmp_path / "data"), str(dataset), "--out", str(tmp_path / "out"), *flags]

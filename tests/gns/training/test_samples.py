@@ -189,8 +189,7 @@ def test_a_training_begins_with_the_mean_upward_acceleration(flows: Flows, setti
     resting[1::2, :, 0] += 1.0e-3 * flows[0].units.length
     flow = replace(flows[0], positions=resting, velocity0=np.zeros_like(flows[0].velocity0))
     normalisation, upward = statistics([[flow]])
-    held = 9.81 * flow.step**2 / flow.units.length
-    assert upward * normalisation.acceleration_scale == pytest.approx(held, rel=1e-3)
+    assert upward * normalisation.acceleration_scale == pytest.approx(9.81 * flow.step**2 / flow.units.length, rel=1e-3)
     bias = list(untrained(settings, [[flow]]).network.decoder.parameters())[-1]
     assert bias[:2].tolist() == pytest.approx([0.0, upward])
 
