@@ -22,9 +22,7 @@ from gns.surroundings.units import Units
 if TYPE_CHECKING:
     from gns.simulator import Simulator
 
-LICENCE = "MIT"
-LEVELS = (0.5, 0.8, 0.95)
-"""Of the bands that it has quantiles for."""
+LEVELS = (0.5, 0.8, 0.95)  # of the bands that it has quantiles for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,40 +94,35 @@ class Card(Record):
 
     def calibration(self, scene: Scene, level: str = "0.95") -> Calibration | None:
         """The narrowest at `level` of the datasets whose ranges hold `scene`, else the widest; None where none is."""
-        bands = [
-            (dataset.ranges, dataset.calibration)
-            for dataset in self.datasets.values()
-            if dataset.calibration is not None
-        ]
+        bands = [(dataset.ranges, dataset.calibration) for dataset in self.datasets.values() if dataset.calibration]
         if holding := [band for ranges, band in bands if not outside(scene, ranges)]:
             return min(holding, key=lambda band: band.front[level])
         return max((band for _, band in bands), key=lambda band: band.front[level], default=None)
 
-    def keeping(self, calibrations: Mapping[str, Calibration | None]) -> "Card":
+    def keeping(self, calibrations: Mapping[str, Calibration]) -> "Card":
         """This card with calibrations of its datasets by name."""
-        datasets = {
-            name: replace(dataset, calibration=calibrations.get(name, dataset.calibration))
-            for name, dataset in self.datasets.items()
-        }
-        return replace(self, datasets=datasets)
+        calibrated = {name: replace(self.datasets[name], calibration=band) for name, band in calibrations.items()}
+        return replace(self, datasets=self.datasets | calibrated)
 
 
 def describe(
     simulator: "Simulator", provenance: Mapping[str, Any], scenes: Mapping[str, Sequence[Scene]], scores: str = ""
 ) -> Card:
     """The card of a model of this history that was trained on these scenes, by definition or folder."""
+    from gns.network.features import NODES
+
     datasets = {}
     for name, some in scenes.items():
         across = [round(Units.of_body(scene).length / scene.domain.cell, 2) for scene in some]
         ranges = ranges_of(some, simulator.settings)
         datasets[name] = Dataset(scenes=len(some), cells_across=(min(across), max(across)), ranges=ranges)
-    command, seed, updates = provenance.get("command", ""), provenance.get("seed"), total_updates(provenance)
+    command, updates = provenance.get("command", ""), total_updates(provenance) or None
     return Card(
         settings=simulator.settings,
-        features=simulator.features,
+        features={name: feature.count(simulator.settings) for name, feature in NODES.items()},
         normalisation={name: float(value) for name, value in simulator.named_buffers(recurse=False)},
-        training=Training(command=command, seed=seed, updates=updates or None),
-        licence=LICENCE,
+        training=Training(command=command, seed=provenance.get("seed"), updates=updates),
+        licence="MIT",
         scores=scores,
         datasets=datasets,
     )

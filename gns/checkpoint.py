@@ -28,32 +28,23 @@ from gns.simulator import Simulator
 from gns.surroundings.forces import Normalisation
 
 WHAT = "whole weights of a model"
-FORMAT = "4"
-"""Raised when files get another layout."""
-BLANK = Normalisation(displacement_scale=1.0, acceleration_scale=1.0, friction_mean=0.0, friction_std=1.0)
-"""The true constants are among the tensors."""
+FORMAT = "4"  # raised when files get another layout
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
     """A simulator and its history."""
 
-    simulator: Simulator
-    """Built, with weights, in evaluation mode and frozen: a gradient with respect to the flow is then much cheaper."""
-    provenance: Mapping[str, Any]
-    """Command, seed, datasets, minutes and scores that made the weights."""
+    simulator: Simulator  # in evaluation mode and frozen: a gradient with respect to the flow is then much cheaper
+    provenance: Mapping[str, Any]  # command, seed, datasets, minutes and scores that made the weights
 
 
 def save(path: Path, simulator: Simulator, provenance: Mapping[str, Any]) -> None:
     """Write a model; `provenance` holds strings, numbers and lists or mappings of them."""
-    parts = {"settings": asdict(simulator.settings), "provenance": files.finite(provenance)}
-    tensors = {
-        name: value.detach().to(device="cpu", dtype=torch.float32).contiguous()
-        for name, value in simulator.state_dict().items()
-    }
-    contents = serialised(tensors, {"format": FORMAT} | {name: json.dumps(part) for name, part in parts.items()})
+    settings, history = json.dumps(asdict(simulator.settings)), json.dumps(files.finite(provenance))
+    tensors = {name: value.cpu().float().contiguous() for name, value in simulator.state_dict().items()}
     with files.replacing(path) as part:
-        part.write_bytes(contents)
+        part.write_bytes(serialised(tensors, {"format": FORMAT, "settings": settings, "provenance": history}))
 
 
 def load(path: Path) -> Model:
@@ -66,8 +57,10 @@ def load(path: Path) -> Model:
         settings = from_mapping(ModelSettings, described)
         for name, tensor in tensors.items():
             require(bool(torch.isfinite(tensor).all()), name, "finite numbers", "others")
+    corrected = any(name.startswith("correction.") for name in tensors)
     with reading(path, "weights of a model of these settings"), torch.device("meta"):
-        simulator = Simulator(settings, BLANK, corrected=any(name.startswith("correction.") for name in tensors))
+        # The true constants are among the tensors.
+        simulator = Simulator(settings, Normalisation(), corrected=corrected)
         simulator.load_state_dict(tensors, assign=True)
     return Model(simulator=simulator.eval().requires_grad_(False), provenance=provenance)
 

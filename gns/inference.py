@@ -3,6 +3,7 @@
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -53,21 +54,14 @@ def simulate(
     initial = initial_state(scene, simulator.settings, start)
     there = initial.to(device)
     clock = time.perf_counter()
+    given = simulator.to(device), there.state, there.conditions, there.steps
     with torch.no_grad():
-        moved = on_threads(
-            threads, unroll, simulator.to(device), there.state, there.conditions, there.steps, progress=progress
-        )
-    positions = np.concatenate((initial.known, moved[1:].cpu().numpy()))
+        moved = on_threads(threads, unroll, *given, progress=progress)
+    positions, volume = np.concatenate((initial.known, moved[1:].cpu().numpy())), initial.conditions.volume.numpy()
     wall = time.perf_counter() - clock
-    deposit, volume = positions[-1], initial.conditions.volume.numpy()
-    summary = {
-        **measures.extents(scene, deposit, volume),
-        "steps": initial.steps,
-        "particles": len(initial.indices),
-        "wall_s": wall,
-        "device": str(device),
-        "start": "rest" if start is None else "frames",
-    }
+    summary: dict[str, Any] = {**measures.extents(scene, positions[-1], volume), "steps": initial.steps}
+    summary |= {"particles": len(initial.indices), "wall_s": wall, "device": str(device)}
+    summary["start"] = "rest" if start is None else "frames"
     return Trajectory(
         positions=positions,
         time=initial.times,
@@ -118,8 +112,9 @@ def predict(
     path = model_path(model) if isinstance(model, str | Path) else None
     require(level in card.LEVELS, "level", f"one of {', '.join(map(str, card.LEVELS))}", f"{level:g}")
     described, key = None if path is None else card.read(path), f"{level:g}"
-    chosen = described.calibration(scene, key) if calibration is None and described is not None else calibration
-    if chosen is None:
+    if calibration is None and described is not None:
+        calibration = described.calibration(scene, key)
+    if calibration is None:
         message = "expected a calibration, by gns.score.calibrated or on the model's card by python -m gns.score --keep"
         raise InputError(message, where="" if path is None else str(card.card_path(path)), key="calibration")
     rollout = simulate(scene, model=model)
@@ -128,7 +123,7 @@ def predict(
         deposit=rollout.positions[-1],
         front=front,
         extent=front - rear,
-        half_width=chosen.front[key] * (front - rear),
-        profile_error=chosen.profile[key] * (front - rear),
+        half_width=calibration.front[key] * (front - rear),
+        profile_error=calibration.profile[key] * (front - rear),
         warning="the training range of this network is unknown" if path is None else card.warning(path, scene),
     )

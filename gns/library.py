@@ -5,10 +5,8 @@ from pathlib import Path
 from datasets.scene.parts import SceneLayout
 
 WEIGHTS = Path(__file__).parent / "weights"
-ENDING = ".safetensors"
-"""Of the file of a model."""
-BEST = f"best{ENDING}"
-"""What a training leaves in its folder: the model to use."""
+ENDING = ".safetensors"  # of the file of a model
+BEST = f"best{ENDING}"  # what a training leaves in its folder: the model to use
 
 
 def shipped(scene: SceneLayout) -> Path:

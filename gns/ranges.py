@@ -8,6 +8,7 @@ at any size.
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,9 @@ from datasets.scene import Scene, coefficient
 from gns.settings import ModelSettings
 from gns.surroundings.units import Units
 
-MARGIN = 0.1
-"""Admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale."""
-SMALLEST = 1.0e-3
-"""Tangent of an angle, or length over l, below which logarithms do not fall further [-]."""
-GROUND_SPACING = 0.05
-"""Distance between two elevations of which the steepness of terrain is taken, over l [-]."""
+MARGIN = 0.1  # admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale
+SMALLEST = 1.0e-3  # tangent of an angle, or length over l, below which logarithms do not fall further [-]
+GROUND_SPACING = 0.05  # distance between two elevations of which the steepness of terrain is taken, over l [-]
 
 Range = tuple[float, float]
 
@@ -43,126 +41,96 @@ def logarithm_of_tangent(degrees: float) -> float:
 class RangedQuantity:
     """A quantity of a scene whose range bounds a surrogate's validity."""
 
-    values: Sequence[float]
-    """In its unit; none where the scene has no such thing."""
+    values: Sequence[float]  # in its unit; none where the scene has no such thing
     unit: str = ""
-    below: bool = True
-    """Whether a smaller value than those of the training data is outside."""
-    above: bool = True
-    """Whether a larger one is."""
-    scale: Callable[[float], float] = float
-    """Increasing function of a value, of which the width of its range is taken."""
+    below: bool = True  # whether a smaller value than those of the training data is outside
+    above: bool = True  # whether a larger one is
+    scale: Callable[[float], float] = float  # increasing function of a value, of which the width of its range is taken
 
 
-ABSOLUTE = ("length", "density", "gravity")
-"""What a model that scales its scenes does not see."""
+ABSOLUTE = ("length", "density", "gravity")  # what a model that scales its scenes does not see
 
 
 def quantities(scene: Scene) -> dict[str, RangedQuantity]:
     """Those of a scene with gravity."""
     body, masses, baffles = Units.of_body(scene), scene.masses, scene.baffles
     sand = [scene.material_of(mass) for mass in masses]
+    layers = list(zip(masses, sand, strict=True))
     # Where all masses together begin and end along each axis.
     low = [min(mass.lower[axis] for mass in masses) for axis in range(scene.dimension)]
     high = [max(mass.lower[axis] + mass.size[axis] for mass in masses) for axis in range(scene.dimension)]
     extents = [last - first for first, last in zip(low, high, strict=True)]
     rooms = [whole - extent for whole, extent in zip(scene.domain.size, extents, strict=True)]
-    # None of a mass at rest.
-    velocities = [(mass.velocity,) if mass.velocity else () for mass in masses]
-    cohesions = [
-        material.cohesion_at(depth)
-        for mass, material in zip(masses, sand, strict=True)
-        for depth in (0.0, height(scene, mass))
-    ]
-    held = sum(mass.release is not None for mass in masses)
+    velocities = [mass.velocity for mass in masses]
+    chosen, by_itself = scene.volume_correction, replace(scene, volume_correction=None)
     elevation, roughness, steepness = terrain(scene, GROUND_SPACING * body.length)
-    turbulences = [float(np.min(solid.turbulence)) / scene.gravity for solid in scene.solids if solid.turbulence]
+    turbulences = [float(np.min(solid.turbulence)) for solid in scene.solids if solid.turbulence]
 
-    def lengths(values: Iterable[float], **bounds: Any) -> RangedQuantity:
-        return RangedQuantity([value / body.length for value in values], "l", **bounds)
+    def ranged(values: Iterable[float | None], unit: str = "", *, over: float = 1.0, **bounds: Any) -> RangedQuantity:
+        return RangedQuantity([value / over for value in values if value is not None], unit, **bounds)
 
-    def speeds(values: Iterable[float]) -> RangedQuantity:
-        return RangedQuantity([value / body.speed for value in values], "sqrt(g l)")
-
+    angles, stresses = partial(ranged, unit="deg"), partial(ranged, unit="rho g l", over=body.stress)
+    lengths, speeds = partial(ranged, unit="l", over=body.length), partial(ranged, unit="sqrt(g l)", over=body.speed)
     return {
-        "friction_deg": RangedQuantity([material.phi_deg for material in sand], "deg", scale=logarithm_of_tangent),
-        "friction_limit_deg": RangedQuantity(
-            [material.friction_limit_deg for material in sand if material.friction_limit_deg is not None], "deg"
-        ),
-        "cohesion": RangedQuantity([cohesion / body.stress for cohesion in cohesions], "rho g l"),
-        "tension_cutoff": RangedQuantity(
-            [material.tension_limit / material.cohesion for material in sand if material.cohesion > 0.0],
+        "friction_deg": angles((material.phi_deg for material in sand), scale=logarithm_of_tangent),
+        "friction_limit_deg": angles(material.friction_limit_deg for material in sand),
+        "cohesion": stresses(material.cohesion_at(z) for mass, material in layers for z in (0.0, height(scene, mass))),
+        "tension_cutoff": ranged(
+            (material.tension_limit / material.cohesion for material in sand if material.cohesion > 0.0),
             "of the cohesion",
         ),
-        "young": RangedQuantity([material.modulus / body.stress for material in sand], "rho g l", above=False),
-        "poisson": RangedQuantity([material.poisson for material in sand]),
-        "dilation_deg": RangedQuantity([material.dilation_deg for material in sand], "deg"),
-        "softening_length": lengths(
-            material.softening_length for material in sand if material.softening_length is not None
+        "young": stresses((material.modulus for material in sand), above=False),
+        "poisson": ranged(material.poisson for material in sand),
+        "dilation_deg": angles(material.dilation_deg for material in sand),
+        "softening_length": lengths(material.softening_length for material in sand),
+        # Of an elastic stress nu / (1 - nu).
+        "k0": ranged(
+            material.poisson / (1.0 - material.poisson) if isinstance(mass.k0, str) else mass.k0
+            for mass, material in layers
         ),
-        "k0": RangedQuantity(stress_ratios(scene)),
-        "barriers": RangedQuantity([float(held)] if held else []),
-        "volume_correction": RangedQuantity(chosen_correction(scene)),
-        "relaxation_time": RangedQuantity(
-            [scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)], "sqrt(cell / g)"
-        ),
-        "floor_friction": RangedQuantity([coefficient(scene.floor_friction)]),
-        "wall_friction": RangedQuantity([coefficient(scene.wall_friction)]),
-        "baffle_friction": RangedQuantity([coefficient(scene.friction_of(baffle)) for baffle in baffles]),
-        "channel": lengths([scene.channel.width] if scene.channel else ()),
-        "ground_friction": RangedQuantity(roughness),
-        "ground_turbulence": RangedQuantity(turbulences, "g", above=False, scale=logarithm),
-        "ground_deg": RangedQuantity(steepness, "deg", below=False),
+        "barriers": ranged([sum(mass.release is not None for mass in masses) or None]),
+        # Where a scene chooses what it would not have by itself.
+        "volume_correction": ranged([None if chosen == remembers_gaps(by_itself) else chosen]),
+        "relaxation_time": ranged([scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)], "sqrt(cell / g)"),
+        "floor_friction": ranged([coefficient(scene.floor_friction)]),
+        "wall_friction": ranged([coefficient(scene.wall_friction)]),
+        "baffle_friction": ranged(coefficient(scene.friction_of(baffle)) for baffle in baffles),
+        "channel": lengths([scene.channel.width if scene.channel else None]),
+        "ground_friction": ranged(roughness),
+        "ground_turbulence": ranged(turbulences, "g", over=scene.gravity, above=False, scale=logarithm),
+        "ground_deg": angles(steepness, below=False),
         "ground_relief": lengths(elevation, below=False),
-        "damping": RangedQuantity([scene.damping]),
-        "slope_deg": RangedQuantity([abs(scene.slope_deg)], "deg"),
+        "damping": ranged([scene.damping]),
+        "slope_deg": angles([abs(scene.slope_deg)]),
         "slope_length": lengths(scene.domain.size[:1] if scene.slope_deg != 0.0 or scene.solids else (), below=False),
-        "masses": RangedQuantity([float(len(masses))]),
-        "mass_aspect": RangedQuantity([extents[1] / extents[0]], scale=logarithm),
+        "masses": ranged([len(masses)]),
+        "mass_aspect": ranged([extents[1] / extents[0]], scale=logarithm),
         "mass_length": lengths(extents[:1], scale=logarithm),
         "mass_height": lengths(extents[1:2], scale=logarithm),
         "mass_width": lengths(extents[2:], scale=logarithm),
         "drop": lengths([float(heights_above_ground(scene).max())], below=False),
         "room_along": lengths(rooms[:1], above=False),
         "room_across": lengths(rooms[2:], above=False),
-        "speed": speeds(max((math.hypot(*velocity) for velocity in some), default=0.0) for some in velocities),
-        "upward_speed": speeds(velocity[1] for some in velocities for velocity in some),
-        "spin": RangedQuantity([float(abs(mass.spin).max()) * body.time for mass in masses], "sqrt(g / l)"),
-        "baffles": RangedQuantity([float(len(baffles))]),
+        "speed": speeds(math.hypot(*velocity) if velocity else 0.0 for velocity in velocities),
+        "upward_speed": speeds(velocity[1] for velocity in velocities if velocity),
+        "spin": ranged((float(abs(mass.spin).max()) * body.time for mass in masses), "sqrt(g / l)"),
+        "baffles": ranged([len(baffles)]),
         "baffle_length": lengths(baffle.size[0] for baffle in baffles),
         "baffle_height": lengths(baffle.size[1] for baffle in baffles),
         "baffle_foot": lengths(baffle.lower[1] for baffle in baffles),
         "baffle_width": lengths(baffle.size[2] for baffle in baffles if len(baffle.size) > 2),
         # Along x from the masses, negative beside or beneath one.
-        "baffle_distance": lengths(
-            max(baffle.lower[0] - high[0], low[0] - baffle.lower[0] - baffle.size[0]) for baffle in baffles
-        ),
-        "duration": RangedQuantity([scene.duration / body.time], "sqrt(l / g)", below=False),
+        "baffle_distance": lengths(max(box.lower[0] - high[0], low[0] - box.lower[0] - box.size[0]) for box in baffles),
+        "duration": ranged([scene.duration], "sqrt(l / g)", over=body.time, below=False),
         "spacing": lengths([scene.particle_spacing], below=False),
-        "length": RangedQuantity([body.length], "m"),
-        "density": RangedQuantity([sand[0].density], "kg/m^3"),
-        "gravity": RangedQuantity([scene.gravity], "m/s^2"),
+        "length": ranged([body.length], "m"),
+        "density": ranged([sand[0].density], "kg/m^3"),
+        "gravity": ranged([scene.gravity], "m/s^2"),
     }
 
 
-def stress_ratios(scene: Scene) -> list[float]:
-    """K0 [-] of the masses that have one; of an elastic one nu / (1 - nu)."""
-    stressed = [(mass.k0, scene.material_of(mass).poisson) for mass in scene.masses if mass.k0 is not None]
-    return [poisson / (1.0 - poisson) if isinstance(k0, str) else k0 for k0, poisson in stressed]
-
-
-def chosen_correction(scene: Scene) -> list[float]:
-    """Whether gaps are corrected, 1 or 0, where a scene chooses what it would not have by itself; else none."""
-    chosen = scene.volume_correction
-    usual = chosen is None or chosen == remembers_gaps(replace(scene, volume_correction=None))
-    return [] if usual else [float(bool(chosen))]
-
-
 def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], list[float]]:
-    """Relief [m], friction, and the steepest angle along an axis [deg] of the terrain, where there is one.
-
-    spacing: of its raster [m].
-    """
+    """Relief [m], friction, steepest angle along an axis [deg] of the terrain, if any; spacing: of its raster [m]."""
     if not scene.solids:
         return [], [], []
     elevation, friction, _ = ground_raster(scene, spacing)
@@ -172,21 +140,16 @@ def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], lis
 
 
 def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Range]:
-    """Least and greatest value of each quantity over `scenes`; without those that they have none of.
-
-    Particles may be as far apart as a cell of the model is long: it follows one of each cell.
-    """
+    """Least and greatest value of each quantity over `scenes`; without those that they have none of. Particles may be
+    as far apart as a cell of the model is long: it follows one of each cell."""
     gathered: dict[str, list[float]] = {}
     for scene in scenes:
         for name, quantity in quantities(scene).items():
             gathered.setdefault(name, []).extend(quantity.values)
-        body = settings.body_length or Units.of_body(scene).length
-        gathered["spacing"].append(settings.cell / body)
-    return {
-        name: (round(min(values), 9), round(max(values), 9))
-        for name, values in gathered.items()
-        if values and (settings.body_length is None or name not in ABSOLUTE)
-    }
+        gathered["spacing"].append(settings.cell / (settings.body_length or Units.of_body(scene).length))
+    hidden = () if settings.body_length is None else ABSOLUTE
+    kept = {name: values for name, values in gathered.items() if values and name not in hidden}
+    return {name: (round(min(values), 9), round(max(values), 9)) for name, values in kept.items()}
 
 
 def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
@@ -207,10 +170,9 @@ def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
         slack = MARGIN * (most - least) + 1.0e-6 * max(abs(least), abs(most))
         below = quantity.below and quantity.scale(min(values)) < least - slack
         above = quantity.above and quantity.scale(max(values)) > most + slack
-        if not (below or above):
-            continue
-        trained = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-        worst = max(values) if above else min(values)
-        by = f"{worst - high:.2g} above" if above else f"{low - worst:.2g} below"
-        outliers.append(f"{name} {worst:.3g}{unit} (trained: {trained}, {by})")
+        if below or above:
+            trained = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+            worst = max(values) if above else min(values)
+            by = f"{worst - high:.2g} above" if above else f"{low - worst:.2g} below"
+            outliers.append(f"{name} {worst:.3g}{unit} (trained: {trained}, {by})")
     return outliers

@@ -60,8 +60,7 @@ def evaluate(simulator: "StepModel", flows: "Sequence[Flow]") -> list[Score]:
         with torch.no_grad():
             more = measures.AFTER if rests else 1
             rolled = unroll(simulator, there.state, there.conditions, more * steps, corrected=False)
-            end = there.state.after(rolled, steps)
-            ended = rolled[: steps + 1]
+            end, ended = there.state.after(rolled, steps), rolled[: steps + 1]
             if isinstance(simulator, Simulator):
                 ended = simulator.corrected(there.state, end, ended, there.conditions)
             deposit = ended[-1].cpu().numpy()
@@ -77,18 +76,13 @@ def evaluate(simulator: "StepModel", flows: "Sequence[Flow]") -> list[Score]:
 
 
 def validation_score(scores: Sequence[Score]) -> float:
-    """Mean of |front| + profile + thickness [-]; the smaller, the better.
-
-    Without the thickness a network would be best whose sand lies flat on the floor.
-    """
+    """Mean of |front| + profile + thickness [-]; without the last a network whose sand lies flat would be the best."""
     return float(np.mean([abs(score.front) + score.profile + score.thickness for score in scores]))
 
 
 def calibrated(scores: Sequence[Score]) -> Calibration:
-    """The calibration by scores of flows that no training saw; those whose front a wall holds count where all are so.
-
-    A wall holds the model's front where it holds the MPM's: such flows would make the bands of all others too narrow.
-    """
+    """The calibration by scores of flows that no training saw; those whose front a wall holds count where all are so. A
+    wall holds the model's front where it holds the MPM's: such flows would make the bands of all others too narrow."""
     counted = [flow for flow in scores if not flow.at_wall] or scores
     errors = [np.sort([abs(getattr(flow, name)) for flow in counted]) for name in ("front", "profile")]
     front, profile = ({f"{level:g}": quantile(ordered, level) for level in LEVELS} for ordered in errors)

@@ -6,10 +6,8 @@ from typing import Annotated, Literal
 from datasets.errors import require
 from datasets.schema import Bounds, Record
 
-GRAVITY = 9.81
-"""Gravitational acceleration of all training data [m/s^2]."""
-UP = 1
-"""The axis that points up."""
+GRAVITY = 9.81  # gravitational acceleration of all training data [m/s^2]
+UP = 1  # the axis that points up
 Positive = Annotated[float, Bounds("a positive number", gt=0.0)]
 NotNegative = Annotated[float, Bounds("a number of at least 0", ge=0.0)]
 Count = Annotated[int, Bounds("an integer of at least 1", ge=1)]

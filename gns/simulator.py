@@ -20,20 +20,17 @@ from gns.network.network import Network
 from gns.settings import GRAVITY, ModelSettings
 from gns.surroundings.contact import keep_out
 from gns.surroundings.forces import FORCES, Moment, Normalisation
-from gns.surroundings.state import Conditions, State, in_model_units
+from gns.surroundings.state import Conditions, State, columns, in_model_units
 
-AT_REST = 0.2
-"""Root mean square speed of a deposit at rest over the speed of rest, at most [-]."""
-STANDING = 2.0
-"""The same of a step from rest that no known law explains (`Moment.stands`) [-]: errors of a network are no forces."""
+AT_REST = 0.2  # root mean square speed of a deposit at rest over the speed of rest, at most [-]
+STANDING = 2.0  # the same of a step from rest that no known law explains (`Moment.stands`): it is an error [-]
 P = ParamSpec("P")
+Moves = Callable[[Tensor, float], Tensor]
 
 
 class StepModel(Protocol):
-    """What a network of one's own must be: a `torch.nn.Module` that has these two.
-
-    `gns.simulate`, `gns.predict`, `gns.score.evaluate` and `inverse.forward.gns.GnsForward` take every such network.
-    """
+    """What a network of one's own must be: a `torch.nn.Module` that has these two. `gns.simulate`, `gns.predict`,
+    `gns.score.evaluate` and `inverse.forward.gns.GnsForward` take every such network."""
 
     settings: ModelSettings
     """Its dimension, its step, which particles it follows (`cell`, `particles_per_cell`), how many of their past
@@ -67,20 +64,13 @@ def checked(model: Any) -> StepModel:
 
 
 def advanced(
-    state: State,
-    conditions: Conditions,
-    acceleration: Tensor,
-    settings: ModelSettings,
-    moves: Callable[[Tensor, float], Tensor] | None = None,
+    state: State, conditions: Conditions, acceleration: Tensor, settings: ModelSettings, moves: Moves | None = None
 ) -> State:
     """The state after a step by the equations of `Simulator`, all of it in the units of the model.
-
     acceleration: without gravity, g dt^2 + s A + ... but for its first term [m per step^2], shape [N, D]; moves: the
     share of the displacements [N, D] that is left, by these and the step's length at the speed of rest, where it is not
-    that of `moving`: a flow whose particles hardly move stops.
-    """
-    positions = state.positions
-    fall = conditions.of_particles(conditions.gravity) * settings.step**2
+    that of `moving`: a flow whose particles hardly move stops."""
+    positions, fall = state.positions, conditions.of_particles(conditions.gravity) * settings.step**2
     stopped = keep_out(positions + state.displacements[-1] + acceleration + fall, positions, conditions)
     if settings.rest_speed > 0.0:
         limit = settings.rest_speed * settings.step
@@ -122,13 +112,8 @@ class Simulator(nn.Module):
         self.settings = settings
         for name, value in dataclasses.asdict(normalisation).items():
             self.register_buffer(name, torch.tensor(value, dtype=torch.get_default_dtype()))
-        self.network = Network(sum(self.features.values()), len(FORCES), settings)
+        self.network = Network(columns(NODES, settings), len(FORCES), settings)
         self.correction = Correction(settings) if corrected else None
-
-    @property
-    def features(self) -> dict[str, int]:
-        """Features of a particle in their order -> how many columns."""
-        return {name: feature.count(self.settings) for name, feature in NODES.items()}
 
     def forward(self, state: State, conditions: Conditions) -> State:
         """One step, all of it in the units of the model. Differentiable in the state and in all conditions."""
@@ -136,14 +121,12 @@ class Simulator(nn.Module):
         learned, shares = self.network(Inputs.of_moment(moment)).split((settings.dimension, len(FORCES)), dim=1)
         force = (shares.unsqueeze(1) @ moment.forces).squeeze(1)
         contact = self.acceleration_scale * learned + GRAVITY * settings.step**2 * force
+        return advanced(state, conditions, contact, settings, partial(self.moves, moment))
 
-        def moves(moved: Tensor, limit: float) -> Tensor:
-            return torch.ones(()) if self.training else self.moves(moved, limit, moment)
-
-        return advanced(state, conditions, contact, settings, moves)
-
-    def moves(self, moved: Tensor, limit: float, moment: Moment) -> Tensor:
+    def moves(self, moment: Moment, moved: Tensor, limit: float) -> Tensor:
         """`moving`; of a flow that rested before and can lie as it does (`Moment.stands`) above a higher speed."""
+        if self.training:
+            return torch.ones(())
         conditions, slow = moment.conditions, AT_REST * limit
         moves = moving(moved, slow, conditions)
         starts = moves * (1.0 - moving(moment.velocity, slow, conditions) - moving(moved, STANDING * limit, conditions))
@@ -164,29 +147,21 @@ class Simulator(nn.Module):
 
 def moving(displacements: Tensor, limit: float, conditions: Conditions) -> Tensor:
     """1 for particles of flows whose displacements [m], [N, D], are above `limit` [m] (rms), else 0; shape [N or 1, 1].
-
-    Below it the deposit is at rest, as in a run of the MPM. Positions that rest have the gradient of those before.
-    """
+    Below it the deposit is at rest, as in a run of the MPM. Positions that rest have the gradient of those before."""
     square = displacements.detach().square().sum(dim=1, keepdim=True)
     return conditions.of_particles((conditions.total(square - limit**2) > 0.0).to(square))
 
 
 def settled(displacements: Tensor, limit: float) -> Tensor:
-    """Displacements [m], shape [N, D], of which those well below `limit` [m] fade: static friction.
-
-    Small errors of the acceleration no longer add up to a creep. Sand that begins to move exceeds the limit after one
-    step, unless its acceleration is below limit / dt^2.
-    """
+    """Displacements [m], shape [N, D], of which those well below `limit` [m] fade: static friction. Small errors of the
+    acceleration no longer add up to a creep; sand whose acceleration exceeds limit / dt^2 begins to move."""
     fourth = (displacements.square().sum(dim=1, keepdim=True) / limit**2).square()
     return displacements * (fourth / (1.0 + fourth))
 
 
 def on_threads(count: int, compute: Callable[P, Tensor], *args: P.args, **kwargs: P.kwargs) -> Tensor:
     """What `compute` returns, with so many threads of torch in it and in the backward pass through what it returns.
-
-    Afterwards torch has as many as before. On a thousand particles two threads take ten times as long as one where
-    another process takes a processor: they spin at a barrier after every operation.
-    """
+    Afterwards torch has as many as before. Why few: `gns/__init__.py`."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -217,16 +192,13 @@ def unroll(
     corrected: bool = True,
 ) -> Tensor:
     """Positions [m] at the start and after each step, shape [steps + 1, N, D]; all of it in the units of the scene.
-
     corrected: on the way to the end by the simulator's correction, where it has one; kept_steps: the last steps that
-    keep their activations (`step_activation_bytes` each) where gradients are recorded. Other steps keep
-    their state alone, and are computed again in the backward pass, with the same result. For a gradient with respect to
-    state or conditions the weights should be frozen, as `gns.load` gives them: it is then much cheaper.
-    """
-    lean = trimming(simulator)
-    length = conditions.units.length
-    state, conditions = in_model_units(start, conditions)
-    first, positions = state, [state.positions]
+    keep their activations (`step_activation_bytes` each) where gradients are recorded. Other steps keep their state
+    alone, and are computed again in the backward pass, with the same result. For a gradient with respect to state or
+    conditions the weights should be frozen, as `gns.load` gives them: it is then much cheaper."""
+    lean, length = trimming(simulator), conditions.units.length
+    first, conditions = in_model_units(start, conditions)
+    state, positions = first, [first.positions]
     for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
         before = state
         if torch.is_grad_enabled() and step < steps - kept_steps:
@@ -249,10 +221,7 @@ def unroll(
 
 
 def step_activation_bytes(simulator: StepModel, state: State, conditions: Conditions) -> int:
-    """Memory that the activations of a step take until the backward pass [bytes].
-
-    Every storage that autograd saves is counted once, without weights and inputs.
-    """
+    """Memory of a step's activations until the backward pass [bytes]: each storage once, without weights and inputs."""
     given = [*simulator.parameters(), *simulator.buffers(), conditions.friction, conditions.cohesion, conditions.volume]
     excluded = {tensor.untyped_storage().data_ptr() for tensor in given}
     # By address, with the storage itself: that of one which is freed could be another's.
@@ -265,10 +234,7 @@ def step_activation_bytes(simulator: StepModel, state: State, conditions: Condit
         return tensor
 
     state, conditions = in_model_units(state, conditions)
-    inside = State(
-        positions=state.positions.detach().clone().requires_grad_(),
-        displacements=state.displacements.detach().clone().requires_grad_(),
-    )
+    inside = State(**{name: tensor.detach().clone().requires_grad_() for name, tensor in vars(state).items()})
     with torch.enable_grad(), torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
         simulator(inside, conditions)
     return sum(storage.nbytes() for storage in saved.values())

@@ -9,8 +9,7 @@ from cyclopts import Parameter
 from datasets import command_line
 from gns.settings import ModelSettings, TrainingSettings
 
-MODEL = ModelSettings()
-TRAINING = TrainingSettings()
+MODEL, TRAINING = ModelSettings(), TrainingSettings()
 
 
 def train(

@@ -21,16 +21,11 @@ from gns.surroundings.contact import keep_out
 from gns.surroundings.forces import Moment
 from gns.surroundings.state import Conditions, State, columns
 
-WIDTH = 64
-"""Of its latent vectors; a wider one overfits."""
-NOISE = 0.2
-"""Standard deviation of what is added to the normalised features of a whole flow while training [-]."""
-DISPLACEMENT = 0.1
-"""Displacement over L that an output of one means [-]."""
-SMALLEST = 1.0e-3
-"""Standard deviation of a flow over L, below which a division by it fades [-]."""
-LARGEST = 5.0
-"""Of a normalised feature, by amount [-]."""
+WIDTH = 64  # of its latent vectors; a wider one overfits
+NOISE = 0.2  # standard deviation of what is added to the normalised features of a whole flow while training [-]
+DISPLACEMENT = 0.1  # displacement over L that an output of one means [-]
+SMALLEST = 1.0e-3  # standard deviation of a flow over L, below which a division by it fades [-]
+LARGEST = 5.0  # of a normalised feature, by amount [-]
 
 
 class Correction(nn.Module):
@@ -71,10 +66,9 @@ class Correction(nn.Module):
         whole = torch.cat((first, last, velocity), dim=1)
         middle = average(whole, conditions)
         here = whole - middle
-        spread = (average(here.square(), conditions) + SMALLEST**2).sqrt()
         begun, ended, thrown = middle.chunk(3, dim=1)
         own_first, own_last, _ = here.chunk(3, dim=1)
-        before, after, _ = spread.chunk(3, dim=1)
+        before, after, _ = (average(here.square(), conditions) + SMALLEST**2).sqrt().chunk(3, dim=1)
         places = (last - first, own_first, own_last, velocity, thrown, ended - begun, before, after, own_last / after)
         return torch.cat((nodes, *(place.expand_as(first) for place in places)), dim=1)
 

@@ -16,17 +16,12 @@ from gns.surroundings.forces import Moment
 from gns.surroundings.grid import CHANNELS, Stencil
 from gns.surroundings.state import Input, columns
 
-DAMPING = 5.0
-"""Factor that brings the coefficient of damping to the size of the other features [-]."""
-ROUGHNESS = (0.45, 0.27)
-"""Mean and standard deviation to which the friction of floor and walls is normalised [-]."""
-INCLINED = 4.0
-"""Factor that brings gravity along the floor to the size of the other features [-]."""
-REFERENCE_COHESION = 50.0
-"""Scale of the logarithm of the cohesion [Pa], about the weight of 3 mm of sand: a thin front that has any cohesion
-does not run as far as a dry one."""
-SQUARE_FLOOR = 1.0e-12
-"""Added to d^2: particles that the floor or a corner stopped can coincide, where the root has no finite slope."""
+DAMPING = 5.0  # factor that brings the coefficient of damping to the size of the other features [-]
+ROUGHNESS = (0.45, 0.27)  # mean and standard deviation to which the friction of floor and walls is normalised [-]
+INCLINED = 4.0  # factor that brings gravity along the floor to the size of the other features [-]
+# Scale of the logarithm of the cohesion, about the weight of 3 mm of sand: a thin front with any cohesion stops sooner.
+REFERENCE_COHESION = 50.0  # [Pa]
+SQUARE_FLOOR = 1.0e-12  # added to d^2: stopped particles can coincide, where the root has no finite slope
 
 
 def constants(x: Moment) -> Tensor:
@@ -34,8 +29,8 @@ def constants(x: Moment) -> Tensor:
     conditions, normalisation = x.conditions, x.normalisation
     friction = (conditions.friction - normalisation.friction_mean) / normalisation.friction_std
     cohesion = 0.5 * (conditions.cohesion / REFERENCE_COHESION).log1p()
-    mean, deviation = ROUGHNESS
-    rough = (torch.stack((conditions.floor_friction, conditions.wall_friction), dim=1) - mean) / deviation
+    rough = torch.stack((conditions.floor_friction, conditions.wall_friction), dim=1)
+    rough = (rough - ROUGHNESS[0]) / ROUGHNESS[1]
     inclined = torch.full_like(conditions.gravity[0], INCLINED / GRAVITY)
     inclined[UP] = 1.0 / GRAVITY
     shared = torch.cat((rough, DAMPING * conditions.damping.unsqueeze(1), inclined * conditions.gravity), dim=1)
@@ -43,9 +38,9 @@ def constants(x: Moment) -> Tensor:
     return torch.cat((strengths, conditions.of_particles(shared).expand(len(strengths), -1)), dim=1)
 
 
+# Of a node, constant during a rollout: they also scale and shift the latents of each message-passing step.
 CONSTANTS = {"friction, cohesion, floor, walls, damping, gravity": Input(lambda s: 5 + s.dimension, constants)}
-"""Of a node, constant during a rollout: they also scale and shift the latents of each message-passing step."""
-
+# Of a node, from a `Moment`.
 NODES = {
     "past displacements": Input(
         lambda s: s.history * s.dimension,
@@ -60,44 +55,32 @@ NODES = {
     **CONSTANTS,
     "column on the grid": Input(lambda s: columns(CHANNELS, s), lambda x: x.column),
     "tractions of surfaces and damping": Input(
-        lambda s: 2 * s.dimension, lambda x: torch.cat((x.traction, x.damping), dim=1)
+        lambda s: 2 * s.dimension, lambda x: torch.hstack((x.traction, x.damping))
     ),
     "cohesion over the weight above": Input(lambda s: 1, lambda x: x.strength),
     "forces of pressure and internal friction": Input(lambda s: 2 * s.dimension, lambda x: x.internal),
-    "basal friction and damped motion": Input(
-        lambda s: 2 * s.dimension, lambda x: torch.cat((x.basal, x.damped), dim=1)
-    ),
+    "basal friction and damped motion": Input(lambda s: 2 * s.dimension, lambda x: torch.hstack((x.basal, x.damped))),
 }
-"""Of a node, from a `Moment`."""
-
+# Of an edge, from the offset of its sender from its receiver over the radius [-], shape [E, D].
 EDGES = {
-    "offset over the radius": Input(lambda s: s.dimension, lambda offset: offset),
-    "distance over the radius": Input(
-        lambda s: 1, lambda offset: (offset.square().sum(dim=1, keepdim=True) + SQUARE_FLOOR).sqrt()
-    ),
+    "offset over the radius": Input(lambda s: s.dimension, lambda d: d),
+    "distance over the radius": Input(lambda s: 1, lambda d: (d.square().sum(1, keepdim=True) + SQUARE_FLOOR).sqrt()),
 }
-"""Of an edge, from the offset of its sender from its receiver over the radius [-], shape [E, D]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
     """What a network is given of a state of N particles."""
 
-    features: Tensor
-    """`NODES`, shape [N, F]."""
-    constant: Tensor
-    """`CONSTANTS`, shape [N, M]."""
+    features: Tensor  # `NODES`, shape [N, F]
+    constant: Tensor  # `CONSTANTS`, shape [N, M]
     graph: Graph
-    stencil: Stencil
-    """The particles on the background grid."""
-    fraction: Tensor
-    """Volume of each particle over that of a grid cell [-], shape [N, 1]."""
-    nodes: Tensor
-    """`CHANNELS` of the grid, shape [B * nodes, C]."""
+    stencil: Stencil  # the particles on the background grid
+    fraction: Tensor  # volume of each particle over that of a grid cell [-], shape [N, 1]
+    nodes: Tensor  # `CHANNELS` of the grid, shape [B * nodes, C]
 
     @staticmethod
     def of_moment(moment: Moment) -> "Inputs":
-        """Those of the particles at one moment."""
         settings, conditions = moment.settings, moment.conditions
         features = {name: feature.compute(moment) for name, feature in NODES.items()}
         return Inputs(

@@ -27,20 +27,14 @@ CELL_MARGIN = 1.0e-6
 class Graph:
     """Directed edges, both ways between two nodes, sorted by receiver, then by sender."""
 
-    edge_index: Tensor
-    """Sender and receiver of each edge, int64, shape [2, E]."""
-    starts: Tensor
-    """First edge of each receiver, and the number of edges, shape [N + 1]."""
-    positions: Tensor
-    """Of the nodes, from their mean, over the radius [-], shape [N, D]; no edge is longer than 1."""
+    edge_index: Tensor  # sender and receiver of each edge, int64, shape [2, E]
+    starts: Tensor  # first edge of each receiver, and the number of edges, shape [N + 1]
+    positions: Tensor  # of the nodes, from their mean, over the radius [-], shape [N, D]; no edge is longer than 1
 
 
 def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) -> Graph:
     """The graph of `positions` [m], shape [N, D], D at most 3: all pairs no further apart than `radius` [m].
-
-    batch: the sample that each particle belongs to, shape [N]; there are no edges between samples. Raises WorkFailed
-    for positions that are not finite.
-    """
+    batch: sample of each particle, shape [N]; samples share no edges. Raises WorkFailed for positions not finite."""
     points = positions.detach().double().cpu().numpy()
     if not np.isfinite(points).all():
         raise WorkFailed("the positions of the particles are no longer finite numbers")
@@ -58,19 +52,15 @@ def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) 
     cells = ((samples * counts[2] + z) * counts[1] + y) * counts[0] + x
     filled = np.bincount(cells, minlength=(samples.max(initial=0) + 1) * counts.prod())
     first, order = np.append(0, np.cumsum(filled)), np.argsort(cells, kind="stable")
-    edge_index, starts = map(torch.from_numpy, neighbours(axes, cells, first, order, counts, radius))
-    return Graph(
-        edge_index=edge_index.to(positions.device),
-        starts=starts.to(positions.device),
-        positions=(positions - positions.detach().mean(dim=0)) / radius,
-    )
+    found = neighbours(axes, cells, first, order, counts, radius)
+    edge_index, starts = (torch.from_numpy(part).to(positions.device) for part in found)
+    offset = positions - positions.detach().mean(dim=0)
+    return Graph(edge_index=edge_index, starts=starts, positions=offset / radius)
 
 
 def mean_envelope_sum(radius: float, particle_volume: float, dimension: int) -> float:
-    """Sum of the envelope over the neighbours of a particle inside a dense packing [-].
-
-    The mean of (1 - r^2)^2 over the unit ball, times the number of particles in a ball of the radius.
-    """
+    """Sum of the envelope over the neighbours of a particle inside a dense packing [-]. The mean of (1 - r^2)^2 over
+    the unit ball, times the number of particles in a ball of the radius."""
     mean = 1.0 - 2.0 * dimension / (dimension + 2.0) + dimension / (dimension + 4.0)
     ball = math.pi ** (dimension / 2.0) / math.gamma(dimension / 2.0 + 1.0) * radius**dimension
     return float(mean * ball / particle_volume)
@@ -81,10 +71,8 @@ def neighbours(
     positions: Floats, cells: Integers, first: Integers, order: Integers, counts: Integers, radius: float
 ) -> tuple[Integers, Integers]:
     """`Graph.edge_index` and `Graph.starts` of the pairs no further apart than the radius.
-
     positions: [m], shape [3, N]; cells: the one of each particle, shape [N], x fastest; first: where each cell begins
-    among the particles in the order of the cells, `order`, shape [N]; counts: of cells along each axis.
-    """
+    among the particles in the order of the cells, `order`, shape [N]; counts: of cells along each axis."""
     count, (nx, ny, nz) = len(cells), counts
     ordered = positions[:, order]
     square = radius * radius

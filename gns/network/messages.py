@@ -20,7 +20,7 @@ from typing import Any
 import numba
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
 from gns.network.features import EDGES, SQUARE_FLOOR
@@ -29,17 +29,13 @@ from gns.surroundings.state import computed
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 """Sums may be reordered, which is what lets them fill vectors; NaN and infinity keep their meaning."""
-LOG2_E = np.float32(1.4426950408889634)
-LN_2 = np.float32(0.6931471805599453)
+LOG2_E, LN_2 = np.float32(1.4426950408889634), np.float32(0.6931471805599453)
 ZERO, ONE, FOUR = np.float32(0.0), np.float32(1.0), np.float32(4.0)
 C2, C3, C4, C5, C6 = (np.float32(1.0 / k) for k in (2, 6, 24, 120, 720))
-MAX_EXPONENT = np.float32(126.0)
-"""Exponents of a float32 lie within this on both sides of zero."""
-BIAS, MANTISSA_BITS = np.int32(127), np.int32(23)
-"""Layout of a float32."""
+MAX_EXPONENT = np.float32(126.0)  # exponents of a float32 lie within this on both sides of zero
+BIAS, MANTISSA_BITS = np.int32(127), np.int32(23)  # layout of a float32
 FLOOR = np.float32(SQUARE_FLOOR)
-FUSED = ("offset over the radius", "distance over the radius")
-"""The features of an edge that the kernels know."""
+FUSED = ("offset over the radius", "distance over the radius")  # the features of an edge that the kernels know
 
 
 def messages(receiver: Tensor, sender: Tensor, weight: Tensor, graph: Graph) -> Tensor:
@@ -58,18 +54,12 @@ def messages(receiver: Tensor, sender: Tensor, weight: Tensor, graph: Graph) -> 
 
 
 @cache
-def _definition() -> nn.Module:
+def _definition() -> Any:
     """The definition, made where it is first needed: to import PyTorch Geometric takes seconds."""
     from torch_geometric.nn import MessagePassing
 
     class MessageSum(MessagePassing):  # type: ignore[misc]
-        """m_i = sum_j w_ij silu(a_i + b_j + W_x (x_j - x_i) + W_d d_ij)."""
-
-        def __init__(self) -> None:
-            super().__init__(aggr="sum", flow="source_to_target")
-
         def forward(self, edge_index: Tensor, **given: Tensor) -> Tensor:
-            """Sum the messages at each receiver [N, C]."""
             return torch.as_tensor(self.propagate(edge_index, **given))
 
         def message(self, a_i: Tensor, b_j: Tensor, x_i: Tensor, x_j: Tensor, weight: Tensor) -> Tensor:
@@ -78,7 +68,7 @@ def _definition() -> nn.Module:
             envelope = (1.0 - offset.square().sum(dim=1, keepdim=True)).clamp(min=0.0).square()
             return envelope * functional.silu(a_i + b_j + computed(EDGES, offset) @ weight)
 
-    return MessageSum()
+    return MessageSum(aggr="sum", flow="source_to_target")
 
 
 class FusedSum(torch.autograd.Function):
@@ -100,22 +90,15 @@ class FusedSum(torch.autograd.Function):
         """Gradients with respect to the first four inputs."""
         given = ctx.saved_tensors
         of_inputs = [torch.zeros_like(tensor) for tensor in given[:4]]
-        _gradients(  # type: ignore[call-arg]
-            *(tensor.detach().numpy() for tensor in given),
-            gradients[0].contiguous().numpy(),
-            *(gradient.numpy() for gradient in of_inputs),
-            ctx.needs_input_grad[2],
-            ctx.needs_input_grad[3],
-        )
+        arrays = [tensor.detach().numpy() for tensor in (*given, gradients[0].contiguous(), *of_inputs)]
+        _gradients(*arrays, *ctx.needs_input_grad[2:4])
         return *of_inputs, None, None
 
 
 @numba.njit(inline="always", fastmath=FAST, error_model="numpy")
 def _sigmoid(h: Any) -> Any:
     """1 / (1 + exp(-h)) to a few units in the last place, without a call, which would keep the loop from vectors.
-
-    exp(-h) = 2^t = 2^n 2^f with |f| <= 1/2, and 2^f = exp(f ln 2) by its Taylor series.
-    """
+    exp(-h) = 2^t = 2^n 2^f with |f| <= 1/2, and 2^f = exp(f ln 2) by its Taylor series."""
     t = -h * LOG2_E
     t = t if t < MAX_EXPONENT else MAX_EXPONENT
     t = t if t > -MAX_EXPONENT else -MAX_EXPONENT

@@ -35,11 +35,9 @@ def mlp(inputs: int, outputs: int, settings: ModelSettings) -> nn.Sequential:
 
 class Interaction(nn.Module):
     """m [N, C] from node latents x [N, C] and a graph, by the messages of Sanchez-Gonzalez et al. 2020, made cheap.
-
     Their message is a network of [x_i, x_j, e_ij]. Its first layer splits into W_i x_i + W_j x_j + W_e e_ij, two of
     which are per node; its last layer is linear and follows the sum over the neighbours, in the update of the node.
-    What is left per edge is the sum in `gns.network.messages`. Edges carry no latents, their features enter each step.
-    """
+    What is left per edge is the sum in `gns.network.messages`; edges carry no latents."""
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
@@ -54,11 +52,8 @@ class Interaction(nn.Module):
 
 
 class MessagePassingStep(nn.Module):
-    """One step: x_i <- x_i + mlp(y_i, sum of the messages to i), where y_i = (1 + g_i) norm(x_i) + b_i.
-
-    Scale g and shift b are linear in what is constant for a particle (FiLM: Perez et al., visual reasoning with a
-    general conditioning layer, AAAI 2018).
-    """
+    """One step: x_i <- x_i + mlp(y_i, sum of the messages to i), where y_i = (1 + g_i) norm(x_i) + b_i. Scale g and
+    shift b are linear in what is constant for a particle (FiLM: Perez et al., AAAI 2018)."""
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
@@ -75,19 +70,16 @@ class MessagePassingStep(nn.Module):
         normal = self.norm(x)
         scale, shift = self.film(constant).chunk(2, dim=1)
         normal = torch.addcmul(normal + shift, normal, scale)
-        messages = self.scale * self.interaction(normal, graph)
-        return x + torch.as_tensor(self.update(torch.cat((normal, messages), dim=1)))
+        total = torch.cat((normal, self.scale * self.interaction(normal, graph)), dim=1)
+        return x + torch.as_tensor(self.update(total))
 
 
 class Convolution(nn.Conv2d):
-    """Kernels of 3 nodes along each axis, `dilation` nodes apart, channels last; around the grid are zeros.
-
-    In 3D by planes that carry the channels of their neighbours too: on a CPU torch's own takes five times as long.
-    """
+    """Kernels of 3 nodes along each axis, `dilation` nodes apart, channels last; around the grid are zeros. In 3D by
+    planes that carry the channels of their neighbours too: on a CPU torch's own takes five times as long."""
 
     def __init__(self, channels: int, dimension: int, dilation: int) -> None:
-        planes = 3 ** (dimension - 2)
-        super().__init__(planes * channels, channels, 3, padding=dilation, dilation=dilation)
+        super().__init__(3 ** (dimension - 2) * channels, channels, 3, padding=dilation, dilation=dilation)
 
     def forward(self, field: Tensor) -> Tensor:
         """[B, X, Y, C] to the same shape, in 3D [B, X, Y, Z, C]."""
@@ -107,9 +99,7 @@ class GridContext(nn.Module):
         count = settings.grid_channels
         self.to_grid = nn.Linear(settings.width, count)
         self.mix = nn.Linear(count + columns(CHANNELS, settings), count)
-        self.layers = nn.ModuleList(
-            Convolution(count, settings.dimension, 2**layer) for layer in range(settings.grid_layers)
-        )
+        self.layers = nn.ModuleList(Convolution(count, settings.dimension, 2**i) for i in range(settings.grid_layers))
         self.from_grid = nn.Linear(count, settings.width)
 
     def forward(self, x: Tensor, given: Inputs) -> Tensor:
@@ -136,7 +126,6 @@ class Processor(nn.Module):
         self.steps = nn.ModuleList(MessagePassingStep(settings) for _ in range(settings.layers))
 
     def forward(self, x: Tensor, given: Inputs) -> Tensor:
-        """Latents [N, C] to latents [N, C]."""
         per_round = len(self.steps) // len(self.contexts)
         for index, context in enumerate(self.contexts):
             x = x + context(x, given)

@@ -9,22 +9,17 @@ from gns.settings import UP
 from gns.surroundings.solids import Below, Boxes, close_to, upward
 from gns.surroundings.state import Conditions, Ground
 
-SKIN = 1.0e-5
-"""Distance from a face at which particles are held [m]: neither rounding nor the joint of two baffles admits one."""
-SLACK = 0.1 * SKIN
-"""How far within that distance rounding may put a particle [m]."""
-GRAZE = 1.0e-3
-"""A path that cuts off less than this of a baffle's corner passes it [m]."""
+SKIN = 1.0e-5  # distance from a face at which particles are held [m]: neither rounding nor a joint of two admits one
+SLACK = 0.1 * SKIN  # how far within that distance rounding may put a particle [m]
+GRAZE = 1.0e-3  # a path that cuts off less than this of a baffle's corner passes it [m]
 
 
 def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tensor:
     """Positions [m], shape [N, D], of particles that move from `before` towards `positions` and are stopped by solids.
-
     The walls of the box [0, size] and the ground stop them. A particle whose path enters or crosses a baffle is held at
     a distance SKIN from the first face on its path, and its motion along that face remains: the gradient in the corner
     is one. A particle that was inside before counts as having been at the nearest free face. Where turned baffles leave
-    no way along a face, as where it meets a wall at an acute angle, the particle stays where it was.
-    """
+    no way along a face, as where it meets a wall at an acute angle, the particle stays where it was."""
     size, batch, ground = conditions.of_particles(conditions.size), conditions.batch, conditions.ground
     kept = _clamped(positions, size)
     if ground is not None:
@@ -92,12 +87,9 @@ def _freed(points: Tensor, size: Tensor, boxes: Boxes) -> Tensor:
     box = boxes.one(number)
     # One candidate for each of the 2 D faces, the lower ones first: [n, 2 D, D].
     axes = torch.eye(dimension, dtype=point.dtype, device=point.device).expand(count, -1, -1)
-    faces = torch.stack((-box.half, box.half), dim=1).squeeze(2)
-    shift = (faces - box.in_axes(point)).flatten(1)
-    directions = (
-        box.mapped(lambda part: part.expand(-1, dimension, *part.shape[2:])).world_vectors(axes).repeat(1, 2, 1)
-    )
-    moved = point.unsqueeze(1) + shift.unsqueeze(2) * directions
+    shift = (torch.stack((-box.half, box.half), dim=1).squeeze(2) - box.in_axes(point)).flatten(1)
+    normals = box.mapped(lambda part: part.expand(-1, dimension, *part.shape[2:])).world_vectors(axes).repeat(1, 2, 1)
+    moved = point.unsqueeze(1) + shift.unsqueeze(2) * normals
     repeated = boxes.select(row.repeat_interleave(2 * dimension))
     covered = repeated.contain(moved.flatten(0, 1), SLACK).view(count, 2 * dimension, -1)
     covered[row, :, number] = False
@@ -108,11 +100,9 @@ def _freed(points: Tensor, size: Tensor, boxes: Boxes) -> Tensor:
 
 def entered(start: Tensor, end: Tensor, half: Tensor, *, graze: float, slack: float) -> tuple[Tensor, Tensor, Tensor]:
     """The box that each path enters first, -1 where none; along which axis of it; whether along this axis. Each [n].
-
     start, end: of the paths in the axes of the boxes [m], both [n, K, D]; half: [n, K, D]. A path that cuts off less
     than `graze` [m] of a box passes it; one that starts less than `slack` inside enters it. By the slab method (Kay and
-    Kajiya 1986): a path is inside between the last of the axes' entries and the first of their exits.
-    """
+    Kajiya 1986): a path is inside between the last of the axes' entries and the first of their exits."""
     path = end - start
     still = path == 0.0
     divisor = torch.where(still, 1.0, path)
@@ -153,5 +143,4 @@ def lifted(points: Tensor, ground: Ground, batch: Tensor | None) -> Tensor:
     height = Below(points, ground, batch).value(ground.elevation)
     y = points[:, UP]
     # Not by torch.maximum, which would halve the gradient of a particle that rests exactly on the ground.
-    up = torch.where(height > y, height, y)
-    return torch.cat((points[:, :UP], up.unsqueeze(1), points[:, UP + 1 :]), dim=1)
+    return torch.cat((points[:, :UP], torch.where(height > y, height, y).unsqueeze(1), points[:, UP + 1 :]), dim=1)

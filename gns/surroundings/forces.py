@@ -42,70 +42,55 @@ from gns.surroundings.grid import CHANNELS, REFERENCE_HEIGHT, Stencil, stencil_o
 from gns.surroundings.solids import Below, solid_features, upward
 from gns.surroundings.state import Conditions, State, computed
 
-FORCES = ("basal friction", "traction", "damping", "shear", "pressure")
-"""The known forces, of which the network gives the shares."""
-SLOW = 0.1
-"""Displacement over the root mean square one below which the direction of motion fades [-]."""
-ROUNDED = 0.1
-"""Change of the motion over `slow` below which its amount is rounded [-]: a sharp kink has no useful derivative."""
-EMPTY = 0.05
-"""Share of a cell that is filled below which the mean of what is in it fades [-]."""
-LOOSE = 0.3
-"""Share of a cell that is filled below which a force is that on so much material [-]."""
-SMOOTHED = 2
-"""Means over three nodes along each level axis that the height of a column is smoothed by."""
-LARGEST = 3.0
-"""The weight of the material that a force on the grid approaches at most [-]."""
+FORCES = ("basal friction", "traction", "damping", "shear", "pressure")  # of which the network gives the shares
+SLOW = 0.1  # displacement over the root mean square one below which the direction of motion fades [-]
+ROUNDED = 0.1  # change of the motion over `slow` below which its amount is rounded: a kink has no useful derivative [-]
+EMPTY = 0.05  # share of a cell that is filled below which the mean of what is in it fades [-]
+LOOSE = 0.3  # share of a cell that is filled below which a force is that on so much material [-]
+SMOOTHED = 2  # means over three nodes along each level axis that the height of a column is smoothed by
+LARGEST = 3.0  # the weight of the material that a force on the grid approaches at most [-]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Normalisation:
     """Statistics of the training data at the model's step, as numbers or as a model's tensors."""
 
-    displacement_scale: float | Tensor
-    """Root mean square displacement of a particle in a step [m]."""
-    acceleration_scale: float | Tensor
-    """Root mean square change of the displacement from step to step, without that of gravity [m]."""
-    friction_mean: float | Tensor
-    """Mean of tan(phi) [-]."""
-    friction_std: float | Tensor
-    """Standard deviation of tan(phi) [-]."""
+    displacement_scale: float | Tensor = 1.0  # root mean square displacement of a particle in a step [m]
+    acceleration_scale: float | Tensor = 1.0  # root mean square change of that from step to step, without gravity's [m]
+    friction_mean: float | Tensor = 0.0  # mean of tan(phi) [-]
+    friction_std: float | Tensor = 1.0  # standard deviation of tan(phi) [-]
 
 
 class Moment:
     """N particles at one moment, in the units of the model; each property is computed when it is first asked for."""
 
-    def __init__(
-        self, state: State, conditions: Conditions, settings: ModelSettings, normalisation: Normalisation
-    ) -> None:
-        self.state, self.conditions, self.settings, self.normalisation = state, conditions, settings, normalisation
+    def __init__(self, state: State, conditions: Conditions, settings: ModelSettings, scales: Normalisation) -> None:
+        self.state, self.conditions, self.settings, self.normalisation = state, conditions, settings, scales
         self.velocity = state.displacements[-1]
         self.changes = state.displacements[1:] - state.displacements[:-1]
-        self.slow = torch.as_tensor(SLOW * normalisation.displacement_scale)
+        self.slow = torch.as_tensor(SLOW * scales.displacement_scale)
         self.weight = settings.density * GRAVITY
         self.fall = GRAVITY * settings.step**2
+        self.drag = None if conditions.ground is None else conditions.ground.drag
 
     @cached_property
     def solids(self) -> Tensor:
         """`solid_features`, shape [N, 3 D + 2]; Voellmy's turbulence as friction of a bed that is near."""
         nearby = solid_features(self.state.positions, self.conditions, self.settings.radius)
-        if self.conditions.ground is None or self.conditions.ground.drag is None:
+        if self.drag is None:
             return nearby
         near = 1.0 - nearby[:, -self.settings.dimension - 2]
         return torch.cat((nearby[:, :-1], (nearby[:, -1] + near * self.turbulence).unsqueeze(1)), dim=1)
 
     @cached_property
     def turbulence(self) -> Tensor:
-        """Voellmy's turbulence of the ground as a coefficient of friction, |v|^2 / (xi h) [-], shape [N].
-
-        Its traction rho g |v|^2 / xi over the pressure rho g h of the column of height h (Salm 1993).
-        """
-        conditions = self.conditions
-        if conditions.ground is None or conditions.ground.drag is None:
+        """Voellmy's turbulence of the ground as a coefficient of friction, |v|^2 / (xi h) [-], shape [N]. Its traction
+        rho g |v|^2 / xi over the pressure rho g h of the column of height h (Salm 1993)."""
+        if self.drag is None:
             return torch.zeros_like(self.velocity[:, 0])
         square = self.velocity.square().sum(dim=1) / self.settings.step**2
         height = REFERENCE_HEIGHT * self.column[:, 2] + self.settings.cell
-        return (self.below.value(conditions.ground.drag) * square / height).clamp(max=LARGEST)
+        return (self.below.value(self.drag) * square / height).clamp(max=LARGEST)
 
     @cached_property
     def below(self) -> Below:
@@ -115,7 +100,6 @@ class Moment:
 
     @cached_property
     def stencil(self) -> Stencil:
-        """The particles on the background grid."""
         return stencil_of(self.state.positions, self.conditions.size, self.settings.grid_cell, self.conditions.batch)
 
     @cached_property
@@ -137,10 +121,8 @@ class Moment:
     def traction(self) -> Tensor:
         """Friction of the surfaces [-], shape [N, D]."""
         conditions, dimension = self.conditions, self.settings.dimension
-        floor, wall = (
-            conditions.of_particles(roughness).unsqueeze(1)
-            for roughness in (conditions.floor_friction, conditions.wall_friction)
-        )
+        floor = conditions.of_particles(conditions.floor_friction).unsqueeze(1)
+        wall = conditions.of_particles(conditions.wall_friction).unsqueeze(1)
         lower, upper = (1.0 - self.solids[:, : 2 * dimension]).chunk(2, dim=1)
         direction, friction = self.solids[:, -dimension - 1 : -1], self.solids[:, -1:]
         axes = torch.arange(dimension, device=direction.device)
@@ -181,15 +163,13 @@ class Moment:
         normal = -(gravity * upwards).sum(dim=1)
         most = (torch.minimum(friction, conditions.friction) * normal.clamp(min=0.0)).unsqueeze(1)
         # On a smooth floor too the root has a slope at zero.
-        rounded = 1.0e-3 * self.slow
-        size = (trial.square().sum(dim=1, keepdim=True) + most.square() + rounded**2).sqrt()
+        size = (trial.square().sum(dim=1, keepdim=True) + most.square() + (1.0e-3 * self.slow) ** 2).sqrt()
         return -most * trial / size / self.fall
 
     @cached_property
     def strength(self) -> Tensor:
         """Cohesion against the weight of the column above [-], shape [N, 1]."""
-        above = REFERENCE_HEIGHT * self.column[:, 1]
-        ratio = self.conditions.cohesion / (self.weight * (above + self.settings.cell))
+        ratio = self.conditions.cohesion / (self.weight * (REFERENCE_HEIGHT * self.column[:, 1] + self.settings.cell))
         return (ratio / (1.0 + ratio)).unsqueeze(1)
 
     @cached_property
@@ -208,25 +188,16 @@ class Moment:
         fields = stencil.within(fields, conditions.size, axes)
         gradient = [torch.gradient(fields, spacing=cell, dim=axis + 1)[0] for axis in axes]
         mean = sum(gradient[axis][..., axis] for axis in axes) / dimension
-        rate = {
-            (i, j): 0.5 * (gradient[j][..., i] + gradient[i][..., j]) - (mean if i == j else 0.0)
-            for i in axes
-            for j in range(i, dimension)
-        }
-        square = sum((1.0 if i == j else 2.0) * component.square() for (i, j), component in rate.items())
+        pairs = [(i, j) for i in axes for j in range(i, dimension)]
+        rate = {(i, j): 0.5 * (gradient[j][..., i] + gradient[i][..., j]) - (mean if i == j else 0) for i, j in pairs}
+        square = sum((1.0 if i == j else 2.0) * part.square() for (i, j), part in rate.items())
         # Not the root alone: it has no slope at zero.
         slow = self.slow / cell
         scale = fields[..., dimension] / ((0.5 * square + slow**2).sqrt() + slow)
-        stress = stencil.within(
-            torch.stack([scale * component for component in rate.values()], dim=-1), conditions.size, axes
-        )
+        stress = stencil.within(torch.stack([scale * part for part in rate.values()], dim=-1), conditions.size, axes)
         slopes = [torch.gradient(stress, spacing=cell, dim=axis + 1)[0] for axis in axes]
-        index = {pair: number for number, pair in enumerate(rate)}
-        divergence = [
-            torch.stack([slopes[j][..., index[min(i, j), max(i, j)]].reshape(-1) for j in axes]).sum(dim=0)
-            for i in axes
-        ]
-        shear = torch.stack(divergence, dim=1) / filled.clamp(min=LOOSE)
+        terms = [[slopes[j][..., pairs.index((min(i, j), max(i, j)))].reshape(-1) for j in axes] for i in axes]
+        shear = torch.stack([torch.stack(row).sum(dim=0) for row in terms], dim=1) / filled.clamp(min=LOOSE)
         pressure = -torch.stack([gradient[axis][..., dimension + 1].reshape(-1) for axis in axes], dim=1)
         return stencil.gather(LARGEST * torch.tanh(torch.cat((shear, pressure), dim=1) / LARGEST))
 
@@ -256,8 +227,8 @@ class Moment:
         thrust = (1.0 - sine) / (1.0 + sine) * slope.norm(dim=1)
         gravity = conditions.of_particles(conditions.gravity)
         slips = inclination(bed, gravity) + thrust > torch.minimum(rough, friction)
-        fails = slips | (inclination(bed + slope, gravity) > friction)
-        return conditions.total(fails.to(slope).unsqueeze(1)) == 0.0
+        slips |= inclination(bed + slope, gravity) > friction
+        return conditions.total(slips.to(slope).unsqueeze(1)) == 0.0
 
     def unit(self, vectors: Tensor) -> Tensor:
         """Directions of vectors [..., D], which fade where they are shorter than `slow`."""

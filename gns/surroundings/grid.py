@@ -11,46 +11,32 @@ from functools import reduce
 import torch
 from torch import Tensor
 
+from datasets.geometry.ground import plan_axes
 from gns.settings import UP
 from gns.surroundings.solids import Below, Boxes, rotated
 from gns.surroundings.state import Conditions, Ground, Input
 
-REFERENCE_HEIGHT = 0.1
-"""Unit of overburden and height [m]."""
-MARGIN = 3
-"""Nodes around the particles that a grid has at least, where the box does not end."""
-MULTIPLE = 4
-"""Numbers of nodes are multiples of this, so that grids of few shapes recur."""
-LEAST_SHARE = 0.25
-"""Of a cell that a wall cuts off, at least this counts as room: what lies on the wall is not infinitely dense."""
-CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
-"""Of a box in the plane in which it is turned, over its half, counterclockwise."""
+REFERENCE_HEIGHT = 0.1  # unit of overburden and height [m]
+MARGIN = 3  # nodes around the particles that a grid has at least, where the box does not end
+MULTIPLE = 4  # numbers of nodes are multiples of this, so that grids of few shapes recur
+LEAST_SHARE = 0.25  # of a cell that a wall cuts off, this counts as room at least: what lies on it is not so dense
+CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # of a box in its plane over its half, counterclockwise
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stencil:
-    """The grid nodes around each particle and their weights.
+    """The grid nodes around each particle and their weights. A sample's grid covers its particles alone, its nodes at
+    multiples of the cell from the box's lower corner. Values are flat, [B * nodes, C], fastest in the last axis."""
 
-    The grid of a sample covers its particles alone, with nodes at whole multiples of the cell from the box's lower
-    corner. Grid values are flat, shape [B * nodes, C], node index fastest in the last axis of `shape`.
-    """
-
-    shape: tuple[int, ...]
-    """Grid nodes along each axis, of all samples alike."""
-    origin: Tensor
-    """The first node of each sample, counted from the lower corner of its box along each axis, int64, shape [B, D]."""
-    cell: float
-    """Edge of a grid cell [m]."""
-    nodes: Tensor
-    """Flat index of the 2^D nodes around each particle, shape [2^D, N]."""
-    weights: Tensor
-    """Multilinear weights, they sum to one over the first axis, shape [2^D, N]."""
-    own: Tensor | None = None
-    """1 at the nodes that a sample would have alone and 0 elsewhere, shape [B, *`shape`, 1]; absent where all are."""
+    shape: tuple[int, ...]  # grid nodes along each axis, of all samples alike
+    origin: Tensor  # the first node of each sample, counted from the lower corner of its box, int64, shape [B, D]
+    cell: float  # edge of a grid cell [m]
+    nodes: Tensor  # flat index of the 2^D nodes around each particle, shape [2^D, N]
+    weights: Tensor  # multilinear weights, they sum to one over the first axis, shape [2^D, N]
+    own: Tensor | None = None  # 1 at nodes that a sample has alone too, else 0, [B, *`shape`, 1]; absent where all are
 
     @property
     def samples(self) -> int:
-        """Samples in the batch, B."""
         return len(self.origin)
 
     def scatter(self, values: Tensor) -> Tensor:
@@ -65,16 +51,12 @@ class Stencil:
 
     def coordinates(self, like: Tensor) -> list[Tensor]:
         """Positions of the nodes along each axis [m], each of shape [B, nodes along it], of the type of `like`."""
-        return [
-            self.cell * (self.origin[:, axis, None] + torch.arange(count, device=like.device)).to(like.dtype)
-            for axis, count in enumerate(self.shape)
-        ]
+        counted = [torch.arange(count, device=like.device) for count in self.shape]
+        return [self.cell * (self.origin[:, i, None] + nodes).to(like.dtype) for i, nodes in enumerate(counted)]
 
     def within(self, field: Tensor, size: Tensor, axes: Iterable[int]) -> Tensor:
-        """A field [B, X, Y(, Z), ...] whose values beyond the walls across `axes` are those of the last node before.
-
-        A derivative at a wall then has no step in it. size: of the boxes [m], shape [B, D].
-        """
+        """A field [B, X, Y(, Z), ...] whose values beyond the walls across `axes` are those of the last node before: a
+        derivative at a wall has no step in it. size: of the boxes [m], shape [B, D]."""
         for axis in axes:
             count = field.shape[axis + 1]
             node = self.origin[:, axis, None] + torch.arange(count, device=field.device)
@@ -94,17 +76,12 @@ class Stencil:
 
 def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | None) -> Stencil:
     """The stencil of `positions` [m], shape [N, D], on grids with cells of edge `cell` in the boxes [0, size].
-
-    size: [m], shape [B, D]; batch: sample of each particle, shape [N], absent where there is one.
-    """
-    dimension = positions.shape[1]
-    scaled = positions / cell
+    size: [m], shape [B, D]; batch: sample of each particle, shape [N], absent where there is one."""
+    scaled, dimension = positions / cell, positions.shape[1]
     base = scaled.detach().floor().long()
-    index = torch.zeros(len(base), dtype=torch.long, device=base.device) if batch is None else batch
-    sample = index.unsqueeze(1).expand(-1, dimension)
-    far = torch.zeros(len(size), dimension, dtype=torch.long, device=base.device)
-    first = far.scatter_reduce(0, sample, base, "amin", include_self=False)
-    last = far.scatter_reduce(0, sample, base, "amax", include_self=False)
+    index = torch.zeros_like(base[:, 0]) if batch is None else batch
+    sample, none = index.unsqueeze(1).expand(-1, dimension), base.new_zeros(size.shape)
+    first, last = (none.scatter_reduce(0, sample, base, end, include_self=False) for end in ("amin", "amax"))
     origin = (first - MARGIN).clamp(min=-1)
     counts = -((origin - last - MARGIN - 2) // MULTIPLE) * MULTIPLE
     shape = tuple(int(count) for count in counts.amax(dim=0).tolist())
@@ -135,34 +112,25 @@ def column_features(stencil: Stencil, conditions: Conditions) -> Tensor:
     | height     | height of the whole column at the node's x (and z), likewise [-]                              |
     | slope      | derivative of that height along x (and z) [-]                                                 |
     """
-    shape, cell = stencil.shape, stencil.cell
-    dimension = len(shape)
-    size = conditions.size
-    filled = stencil.scatter(conditions.volume.unsqueeze(1)).view(stencil.samples, *shape) / cell**dimension
+    size, shape, cell, level = conditions.size, stencil.shape, stencil.cell, plan_axes(len(stencil.shape))
+    filled = stencil.scatter(conditions.volume.unsqueeze(1)).view(stencil.samples, *shape) / cell ** len(shape)
     # A node on a wall stands for half a cell: divide, or the material beside a wall would look loose.
-    begin, end = stencil.cells(size)
-    shares = [
-        spread(((last - first) / cell).clamp(min=LEAST_SHARE), axis, dimension)
-        for axis, (first, last) in enumerate(zip(begin, end, strict=True))
-    ]
-    layers = filled * (cell / REFERENCE_HEIGHT)
-    packing = filled / shares[UP]
-    for share in (share for axis, share in enumerate(shares) if axis != UP):
+    shares = [((last - first) / cell).clamp(min=LEAST_SHARE) for first, last in zip(*stencil.cells(size), strict=True)]
+    layers, packing = filled * (cell / REFERENCE_HEIGHT), filled / spread(shares[UP], UP, len(shape))
+    for axis in level:
+        share = spread(shares[axis], axis, len(shape))
         layers, packing = layers / share, packing / share
     above = layers.flip(UP + 1).cumsum(UP + 1).flip(UP + 1) - 0.5 * layers
     height = layers.sum(UP + 1, keepdim=True)
-    level = [axis for axis in range(dimension) if axis != UP]
     extended = stencil.within(height, size, level)
     slopes = [torch.gradient(extended, spacing=cell / REFERENCE_HEIGHT, dim=axis + 1)[0] for axis in level]
-    channels = [packing, above, height.expand_as(filled), *(slope.expand_as(filled) for slope in slopes)]
-    return torch.stack(channels, dim=-1).view(-1, dimension + 2)
+    channels = [channel.expand_as(filled) for channel in (packing, above, height, *slopes)]
+    return torch.stack(channels, dim=-1).view(-1, len(channels))
 
 
 def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
-    """Share of each node's cell that lies beyond the walls, below the ground or in baffles [-], shape [B * nodes, 1].
-
-    A cell is the box of that edge around its node. Baffles take their share of what walls and ground leave.
-    """
+    """Share of each node's cell that lies beyond the walls, below the ground or in baffles [-], shape [B * nodes, 1]. A
+    cell is the box of that edge around its node. Baffles take their share of what walls and ground leave."""
     begin, end = stencil.cells(conditions.size)
     length = [last - first for first, last in zip(begin, end, strict=True)]
     axes = "xyz"[: len(length)]
@@ -178,34 +146,27 @@ def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
             overlap = torch.minimum(upper, end[axis].unsqueeze(1)) - torch.maximum(lower, begin[axis].unsqueeze(1))
             parts[name] = overlap.clamp(min=0.0) * inverse[axis].unsqueeze(1)
         if conditions.baffle_turn is not None:
-            plane = axes[0] + axes[-1]
-            area = _area(boxes, _edges(begin[0], end[0]), _edges(begin[-1], end[-1]))
-            parts = {name: part for name, part in parts.items() if name not in plane}
-            parts[plane] = area * inverse[0][:, None, :, None] * inverse[-1][:, None, None, :]
+            # Where cells that follow each other along these axes meet.
+            x, z = (torch.cat((begin[i][:, :1], torch.minimum(end[i], end[i][:, -1:])), dim=1) for i in (0, -1))
+            del parts[axes[0]], parts[axes[-1]]
+            parts[axes[0] + axes[-1]] = _area(boxes, x, z) * inverse[0][:, None, :, None] * inverse[-1][:, None, None]
         terms = ",".join("bk" + name for name in parts)
         room = room * (1.0 - torch.einsum(f"{terms}->b{axes}", *parts.values())).clamp(min=0.0)
     return (1.0 - room).clamp(min=0.0).reshape(-1, 1)
 
 
+# Of a node of the grid, from a stencil and the conditions.
 CHANNELS = {
     "packing, overburden, height and slope of the column": Input(lambda s: s.dimension + 2, column_features),
     "share of the cell that is no room": Input(lambda s: 1, occupancy),
 }
-"""Of a node of the grid, from a stencil and the conditions."""
-
-
-def _edges(begin: Tensor, end: Tensor) -> Tensor:
-    """Where cells that follow each other along an axis meet [m], shape [B, X + 1], of their begins and ends [B, X]."""
-    return torch.cat((begin[:, :1], torch.minimum(end, end[:, -1:])), dim=1)
 
 
 def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
     """Area of turned boxes, in the plane in which they are turned, in each cell [m^2], shape [B, K, X, Z].
-
     x, z: edges of the cells along the first and the last axis [m], [B, X + 1] and [B, Z + 1]. A cell has the mixed
     difference of F(x, z), the area at smaller coordinates, by Green's theorem -sum_e int min(zeta_e(s) - z, 0) ds over
-    the edges e of the box, each with its ordinate zeta_e(s) at abscissas s up to x.
-    """
+    the edges e of the box, each with its ordinate zeta_e(s) at abscissas s up to x."""
     assert boxes.turn is not None
     half = torch.stack((boxes.half[..., 0], boxes.half[..., -1]), dim=-1)
     corners = half.unsqueeze(2) * half.new_tensor(CORNERS)
@@ -227,9 +188,8 @@ def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
     g1 = torch.where(s1 <= x, zeta1, zeta0 + (last - s0) * rise).unsqueeze(4) - z
     low0, low1 = g0.clamp(max=0.0), g1.clamp(max=0.0)
     mixed = (low0 < 0.0) != (low1 < 0.0)
-    across = (g1 - g0).abs()
     # The mean of min(g, 0) over an edge on which g is linear.
-    crossing = -0.5 * (low0 + low1).square() / torch.where(mixed, across, 1.0)
+    crossing = -0.5 * (low0 + low1).square() / torch.where(mixed, (g1 - g0).abs(), 1.0)
     mean = torch.where(mixed, crossing, 0.5 * (low0 + low1))
     area = -((last - first).unsqueeze(4) * mean).sum(dim=2)
     return area.diff(dim=2).diff(dim=3)
@@ -237,9 +197,7 @@ def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
 
 def _buried(ground: Ground, begin: list[Tensor], end: list[Tensor]) -> Tensor:
     """Share of the cells of the nodes that lies below the ground [-], shape [B, X, Y(, Z)].
-
-    begin, end: of the part of a cell that is in the box along each axis [m], shape [B, nodes along it].
-    """
+    begin, end: of the part of a cell that is in the box along each axis [m], shape [B, nodes along it]."""
     dimension = len(begin)
     middles = [spread(0.5 * (begin[axis] + end[axis]), axis, dimension) for axis in range(dimension)]
     middles[UP] = torch.zeros_like(middles[UP][:, :, :1])

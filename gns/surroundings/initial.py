@@ -25,22 +25,14 @@ from gns.surroundings.units import Units
 class InitialState(Tensors):
     """All that a rollout begins with. An unknown of an inversion replaces a part of it, differentiably."""
 
-    state: State
-    """Positions and past displacements of the particles."""
-    conditions: Conditions
-    """Material, volumes, box, gravity, baffles."""
-    scene: Scene
-    """The scene that is rolled out."""
-    step: float
-    """Time that one step of the model spans [s]."""
-    steps: int
-    """Steps to the end of the scene."""
-    known: Floats
-    """Positions one step apart from time 0 to the start of the rollout, both included [m], shape [F, n, D]."""
-    velocity0: Floats
-    """Velocities at time 0 [m/s], shape [n, D]."""
-    indices: NDArray[np.int64]
-    """Indices of the particles among all of the scene's, shape [n]."""
+    state: State  # positions and past displacements of the particles
+    conditions: Conditions  # material, volumes, box, gravity, baffles
+    scene: Scene  # the scene that is rolled out
+    step: float  # time that one step of the model spans [s]
+    steps: int  # steps to the end of the scene
+    known: Floats  # positions one step apart from time 0 to the start of the rollout [m], shape [F, n, D]
+    velocity0: Floats  # velocities at time 0 [m/s], shape [n, D]
+    indices: NDArray[np.int64]  # indices of the particles among all of the scene's, shape [n]
 
     @property
     def times(self) -> NDArray[np.float64]:
@@ -65,10 +57,8 @@ class InitialState(Tensors):
 
 def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | None = None) -> InitialState:
     """The initial state of `scene` for a model of these settings; which particles stay is always the same choice.
-
     frames: a run of the scene by the MPM, whose last frame is where the rollout begins; without it that is time 0.
-    Raises InputError for a scene that no such model represents (`check`), and for frames that do not fit.
-    """
+    Raises InputError for a scene that no such model represents (`check`), and for frames that do not fit."""
     check(scene, settings)
     units = Units.of_model(scene, settings)
     step = units.time * settings.step
@@ -147,9 +137,7 @@ def conditions_of(scene: Scene, spacing: float, friction: Any, cohesion: Any, vo
     # Sand shears above what is rougher than itself.
     frictions = scene.floor_friction, scene.wall_friction, *map(scene.friction_of, scene.baffles)
     floor, wall, *rough = (coefficient(surface, 1.0) for surface in frictions)
-    lower, extent = (
-        np.array([getattr(baffle, key) for baffle in scene.baffles], np.float32) for key in ("lower", "size")
-    )
+    lower, extent = (np.array([getattr(box, key) for box in scene.baffles], np.float32) for key in ("lower", "size"))
     turn = np.radians([baffle.turned_deg for baffle in scene.baffles])
     return Conditions(
         friction=torch.as_tensor(friction),

@@ -7,27 +7,25 @@ in positions, corners, turns and elevations. Only the particles near a baffle ar
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import torch
 from torch import Tensor
 
+from datasets.geometry.ground import plan_axes
 from gns.settings import UP
 from gns.surroundings.state import Conditions, Ground
 
-ROUNDING = 0.1
-"""Radius of edges over the cutoff radius for outward directions, whose gradients have no bound at sharp ones [-]."""
+ROUNDING = 0.1  # radius of edges over the cutoff radius for outward directions: sharp ones have no bounded gradient [-]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Boxes:
     """K boxes for each of n points, or for all (n = 1), turned in 2D from x to y, in 3D from x to z."""
 
-    middle: Tensor
-    """[m], shape [n, K, D]."""
-    half: Tensor
-    """Half of the extent along its own axes [m], shape [n, K, D]."""
-    turn: tuple[Tensor, Tensor] | None
-    """Cosine and sine of its turn [-], shape [n, K] each; absent where none is turned."""
+    middle: Tensor  # [m], shape [n, K, D]
+    half: Tensor  # half of the extent along its own axes [m], shape [n, K, D]
+    turn: tuple[Tensor, Tensor] | None  # its cosine and sine [-], shape [n, K] each; absent where none is turned
 
     @staticmethod
     def of_conditions(conditions: Conditions, margin: float = 0.0) -> "Boxes":
@@ -44,13 +42,11 @@ class Boxes:
         return Boxes(middle=change(self.middle), half=change(self.half), turn=turn)
 
     def select(self, rows: Tensor) -> "Boxes":
-        """The boxes of these rows."""
         return self.mapped(lambda part: part.index_select(0, rows))
 
     def one(self, box: Tensor) -> "Boxes":
         """Of n rows the box with this number [n] alone, K = 1."""
-        row = torch.arange(len(box), device=box.device)
-        return self.mapped(lambda part: part[row, box].unsqueeze(1))
+        return self.mapped(lambda part: part[torch.arange(len(box), device=box.device), box].unsqueeze(1))
 
     def in_axes(self, points: Tensor) -> Tensor:
         """Points [n, D] in the axes of their boxes [m], shape [n, K, D]."""
@@ -68,9 +64,7 @@ class Boxes:
 
 def rotated(vectors: Tensor, cosine: Tensor, sine: Tensor, *, symmetric: bool = False) -> Tensor:
     """Vectors [..., D] turned from the first axis to the last; cosine, sine: of the angle, shape [...].
-
-    symmetric: both terms with the sine are positive, as of extents.
-    """
+    symmetric: both terms with the sine are positive, as of extents."""
     first, last = vectors[..., 0], vectors[..., -1]
     turned = cosine * first + sine * last if symmetric else cosine * first - sine * last
     between = [vectors[..., axis].expand_as(turned) for axis in range(1, vectors.shape[-1] - 1)]
@@ -82,12 +76,10 @@ class Below:
 
     def __init__(self, positions: Tensor, ground: Ground, batch: Tensor | None) -> None:
         """positions: [m], shape [N, D]; batch: sample of each particle, shape [N], absent where there is one."""
-        self._shape = ground.elevation.shape[1:]
-        self._spacing = ground.spacing
-        plan = [axis for axis in range(positions.shape[1]) if axis != UP]
+        self._shape, self._spacing = ground.elevation.shape[1:], ground.spacing
         index: Tensor | int = 0 if batch is None else batch
         self._shares = []
-        for axis, count in zip(plan, self._shape, strict=True):
+        for axis, count in zip(plan_axes(positions.shape[1]), self._shape, strict=True):
             scaled = (positions[:, axis] / ground.spacing).clamp(0.0, count - 1.0)
             base = scaled.detach().floor().long().clamp(max=count - 2)
             index = index * count + base
@@ -98,10 +90,8 @@ class Below:
     def _corners(self, field: Tensor) -> tuple[Tensor, ...]:
         """Values of a field at the 2^(D - 1) corners around each place, the last axis fastest; each [N]."""
         field = field.reshape(-1)
-        strides = [math.prod(self._shape[axis + 1 :]) for axis in range(len(self._shape))]
-        steps = [0]
-        for stride in strides:
-            steps = [step + bit for step in steps for bit in (0, stride)]
+        strides = (math.prod(self._shape[axis + 1 :]) for axis in range(len(self._shape)))
+        steps = [sum(bits) for bits in product(*((0, stride) for stride in strides))]
         return tuple(field.index_select(0, self._index + step if step else self._index) for step in steps)
 
     def value(self, field: Tensor) -> Tensor:
@@ -137,8 +127,8 @@ def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     n is a solid's outward unit normal and mu its friction. All of it is continuous where another solid becomes the
     nearest, and where the last one leaves the cutoff.
     """
-    size = conditions.of_particles(conditions.size)
-    walls = (torch.cat((positions, size - positions), dim=1) / cutoff).clamp(max=1.0)
+    above = conditions.of_particles(conditions.size) - positions
+    walls = (torch.cat((positions, above), dim=1) / cutoff).clamp(max=1.0)
     near = []
     if conditions.baffles is not None:
         near.append(nearest_baffle(positions, conditions, cutoff))
@@ -150,7 +140,7 @@ def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     distances, directions, frictions = (torch.stack(parts) for parts in zip(*near, strict=True))
     weights = _shares(1.0 - distances / cutoff, dim=0).unsqueeze(2)
     directed = torch.cat((directions, frictions.unsqueeze(2)), dim=2)
-    nearest = (distances.min(dim=0).values / cutoff).unsqueeze(1)
+    nearest = distances.min(dim=0).values.unsqueeze(1) / cutoff
     return torch.cat((walls, nearest, (weights * directed).sum(dim=0)), dim=1)
 
 
@@ -161,13 +151,11 @@ def _shares(weights: Tensor, dim: int) -> Tensor:
     return weights / torch.where(total > 0.0, total, 1.0)
 
 
-def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> tuple[Tensor, Tensor, Tensor]:
+def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> tuple[Tensor, ...]:
     """Signed distance [m], shape [N], of the nearest baffle; outward direction [-], [N, D], and friction [-], [N].
-
     Direction and friction as `solid_features` weighs them. With q = |x| - half the box, per axis and x from its middle
     in its own axes, the distance of a box is |max(q, 0)| outside and max(q), negative, inside (the exact distance
-    function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1). It is cut off at `cutoff` [m].
-    """
+    function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1), at most `cutoff` [m]."""
     direction = torch.zeros_like(positions)
     distance, rough = torch.full_like(direction[:, 0], cutoff), torch.zeros_like(direction[:, 0])
     boxes = Boxes.of_conditions(conditions)
@@ -187,32 +175,21 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     nearest = distances.min(dim=1).values.clamp(max=cutoff)
     assert conditions.baffle_friction is not None
     friction = conditions.baffle_friction.index_select(0, row)
-    return (
-        distance.index_copy(0, near, nearest),
-        direction.index_copy(0, near, (weight.unsqueeze(2) * normals).sum(dim=1)),
-        rough.index_copy(0, near, (weight * friction).sum(dim=1)),
-    )
+    distance = distance.index_copy(0, near, nearest)
+    direction = direction.index_copy(0, near, (weight.unsqueeze(2) * normals).sum(dim=1))
+    return distance, direction, rough.index_copy(0, near, (weight * friction).sum(dim=1))
 
 
 def close_to(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Particles whose way from `first` to `last` [N, D] comes within about `margin` [m] of a baffle: index, sample.
-
-    Boxes are compared along the axes of the scene, and first a single one around all of a sample's baffles.
-    """
+    """Particles whose way from `first` to `last` [N, D] comes within about `margin` [m] of a baffle: index, sample."""
     with torch.no_grad():
-        low, high = torch.minimum(first, last), torch.maximum(first, last)
+        low, high = torch.minimum(first, last).unsqueeze(1), torch.maximum(first, last).unsqueeze(1)
         # Of a turned box the extent along the axes of the scene.
         half = boxes.half if boxes.turn is None else rotated(boxes.half, *map(torch.abs, boxes.turn), symmetric=True)
         lower, upper = boxes.middle - half - margin, boxes.middle + half + margin
-        if batch is None:
-            ends = lower.amin(dim=1), upper.amax(dim=1)
-            some = ((low < ends[1]) & (high > ends[0])).all(dim=1).nonzero().squeeze(1)
-            low, high = low.index_select(0, some).unsqueeze(1), high.index_select(0, some).unsqueeze(1)
-        else:
-            # Absent baffles are far outside: all that they would add to such a box is room.
-            some = torch.arange(len(low), device=low.device)
-            low, high, lower, upper = low.unsqueeze(1), high.unsqueeze(1), lower[batch], upper[batch]
-        near = some[((low < upper) & (high > lower)).all(dim=2).any(dim=1)]
+        if batch is not None:
+            lower, upper = lower[batch], upper[batch]
+        near = ((low < upper) & (high > lower)).all(dim=2).any(dim=1).nonzero().squeeze(1)
         return near, torch.zeros_like(near) if batch is None else batch.index_select(0, near)
 
 
@@ -233,13 +210,9 @@ def upward(slope: Tensor) -> Tensor:
     return torch.nn.functional.normalize(normal, dim=1)
 
 
-def nearest_ground(
-    positions: Tensor, ground: Ground, batch: Tensor | None, cutoff: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Distance [m], outward direction and friction [-] of the ground, as `nearest_baffle` has those of baffles.
-
-    The distance is that of the plane that touches the ground straight below, (y - h) / sqrt(1 + |grad h|^2).
-    """
+def nearest_ground(positions: Tensor, ground: Ground, batch: Tensor | None, cutoff: float) -> tuple[Tensor, ...]:
+    """Distance [m], outward direction and friction [-] of the ground, as `nearest_baffle` has those of baffles. The
+    distance is that of the plane that touches the ground straight below, (y - h) / sqrt(1 + |grad h|^2)."""
     below = Below(positions, ground, batch)
     height, slope = below.value_and_slope(ground.elevation)
     normal = upward(slope)

@@ -1,7 +1,7 @@
 """What a simulation step takes and gives: state and conditions, and how they move between units and devices."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Self
 
 import torch
@@ -41,12 +41,11 @@ class Tensors:
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
         """The same on another device, its real numbers in another precision; None leaves either as it is."""
         moved: dict[str, Any] = {}
-        for member in fields(self):
-            value = getattr(self, member.name)
+        for name, value in vars(self).items():
             if isinstance(value, Tensor):
-                moved[member.name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
+                moved[name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
             elif isinstance(value, Tensors):
-                moved[member.name] = value.to(device, dtype)
+                moved[name] = value.to(device, dtype)
         return replace(self, **moved)
 
 
@@ -62,12 +61,9 @@ class State(Tensors):
     @staticmethod
     def observed(frames: Tensor, velocities0: Tensor, *, step: float, history: int) -> "State":
         """From frames one step apart [F, N, D]; where they are too few, what came before had the initial velocities.
-
-        frames: [m], the last is now; velocities0: those at the first frame [m/s], shape [N, D].
-        """
+        frames: [m], the last is now; velocities0: those at the first frame [m/s], shape [N, D]."""
         before = (velocities0 * step).expand(history, *frames.shape[1:])
-        displacements = torch.cat((before, frames[1:] - frames[:-1]))[-history:]
-        return State(positions=frames[-1], displacements=displacements)
+        return State(positions=frames[-1], displacements=torch.cat((before, frames[1:] - frames[:-1]))[-history:])
 
     def after(self, positions: Tensor, step: int) -> "State":
         """The state after so many steps of a rollout from here; positions: at its start and after each step [m]."""
@@ -78,10 +74,8 @@ class State(Tensors):
     @staticmethod
     def joined(states: Sequence["State"]) -> "State":
         """Samples side by side."""
-        return State(
-            positions=torch.cat([state.positions for state in states]),
-            displacements=torch.cat([state.displacements for state in states], dim=1),
-        )
+        displacements = torch.cat([state.displacements for state in states], dim=1)
+        return State(positions=torch.cat([state.positions for state in states]), displacements=displacements)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,10 +94,7 @@ class Ground(Tensors):
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions(Tensors):
-    """What is constant during a rollout of B samples side by side: material, volumes, box, gravity and solids.
-
-    All that is a tensor may require a gradient.
-    """
+    """What is constant during a rollout of B samples side by side; all that is a tensor may require a gradient."""
 
     friction: Tensor
     """tan(phi) of each particle [-], shape [N]."""
@@ -146,10 +137,8 @@ class Conditions(Tensors):
 
     @staticmethod
     def joined(samples: Sequence["Conditions"]) -> "Conditions":
-        """Samples side by side, of one each, all in the same units, differentiably.
-
-        Missing baffles become boxes of no size far outside, terrain ground far below; small rasters go on level.
-        """
+        """Samples side by side, of one each, all in the same units, differentiably. Missing baffles become boxes of no
+        size far outside, terrain ground far below; small rasters go on level."""
         names = ("friction", "cohesion", "volume", "size", "gravity", "floor_friction", "wall_friction", "damping")
         together: dict[str, Any] = {name: torch.cat([getattr(sample, name) for sample in samples]) for name in names}
         counts = [0 if sample.baffles is None else sample.baffles.shape[1] for sample in samples]

@@ -22,17 +22,13 @@ from gns.settings import GRAVITY, ModelSettings
 class Units:
     """What one unit of length, time and stress is in a scene; those of a model's training data are all 1."""
 
-    length: float = 1.0
-    """[m]."""
-    time: float = 1.0
-    """[s]."""
-    stress: float = 1.0
-    """[Pa]."""
+    length: float = 1.0  # [m]
+    time: float = 1.0  # [s]
+    stress: float = 1.0  # [Pa]
 
     @property
     def speed(self) -> float:
-        """[m/s]."""
-        return self.length / self.time
+        return self.length / self.time  # [m/s]
 
     @staticmethod
     def of_body(scene: Scene) -> "Units":
@@ -43,11 +39,8 @@ class Units:
 
     @staticmethod
     def of_model(scene: Scene, settings: ModelSettings) -> "Units":
-        """Those in which a model runs `scene`: its body gets the model's size, to a few per cent.
-
-        The time is chosen such that the scene lasts a whole number of steps; length follows from it, so that gravity
-        is that of the model. Raises InputError without gravity.
-        """
+        """Those in which a model runs `scene`: its body gets the model's size, to a few per cent, since time is such
+        that the scene lasts whole steps, and length such that gravity is the model's. Raises InputError without."""
         if settings.body_length is None:
             return Units()
         if scene.gravity <= 0.0:

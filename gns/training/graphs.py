@@ -15,15 +15,12 @@ from gns.training.samples import Flows, flows_of, statistics, stretch
 
 def graph_of(state: State, conditions: Conditions, settings: ModelSettings, normalisation: Normalisation) -> Data:
     """What Talus's own network is given of a state in the units of the model, without its background grid.
-
     `x`: `gns.network.features.NODES`, shape [N, F]; `edge_index`: sender and receiver of each edge, shape [2, E];
-    `edge_attr`: `gns.network.features.EDGES`, shape [E, D + 1]; `pos`: positions [m], shape [N, D].
-    """
+    `edge_attr`: `gns.network.features.EDGES`, shape [E, D + 1]; `pos`: positions [m], shape [N, D]."""
     inputs = Inputs.of_moment(Moment(state, conditions, settings, normalisation))
-    senders, receivers = inputs.graph.edge_index
-    offset = inputs.graph.positions[senders] - inputs.graph.positions[receivers]
-    edges = computed(EDGES, offset)
-    return Data(x=inputs.features, edge_index=inputs.graph.edge_index, edge_attr=edges, pos=state.positions)
+    graph, (senders, receivers) = inputs.graph, inputs.graph.edge_index
+    edges = computed(EDGES, graph.positions[senders] - graph.positions[receivers])
+    return Data(x=inputs.features, edge_index=graph.edge_index, edge_attr=edges, pos=state.positions)
 
 
 class Graphs(torch.utils.data.Dataset[Data]):
@@ -39,9 +36,7 @@ class Graphs(torch.utils.data.Dataset[Data]):
 
     def __getitem__(self, index: int) -> Data:
         """`graph_of` the state before a step; `y`: the acceleration from there to the state after it, shape [N, D].
-
-        That is the change of the displacements besides gravity's, over `normalisation.acceleration_scale`.
-        """
+        That is the change of the displacements besides gravity's, over `normalisation.acceleration_scale`."""
         index = range(len(self))[index]
         number = int(np.searchsorted(self._ends, index, side="right"))
         flow, settings = self.flows[number], self.settings

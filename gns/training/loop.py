@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -44,10 +45,8 @@ from gns.simulator import Simulator
 from gns.training.losses import EndLoss, UnrolledLoss
 from gns.training.samples import Flow, Flows, Rollouts, Sampler, flows_of, statistics
 
-LAST = "last.pt"
-"""The file of a run that --resume continues: weights, their average, optimisers, position."""
-RECENT = 100
-"""Updates over which the shown loss is a mean."""
+LAST = "last.pt"  # the file of a run that --resume continues: weights, their average, optimisers, position
+RECENT = 100  # updates over which the shown loss is a mean
 BAR = "{desc} {bar} {percentage:.0f} % [{elapsed} < {remaining}]"
 
 
@@ -55,20 +54,13 @@ BAR = "{desc} {bar} {percentage:.0f} % [{elapsed} < {remaining}]"
 class Position:
     """The progress of a run."""
 
-    seconds: float = 0.0
-    """Time spent [s], by the clock of the settings."""
-    updates: int = 0
-    """Updates made. They are the position in the data too: each has a random stream of its own."""
-    best: float = math.inf
-    """Smallest score of a validation."""
-    scored: tuple[float, int] = (0.0, 0)
-    """Seconds and updates at the last validation."""
-    rows: list[dict[str, float]] = field(default_factory=list)
-    """Of log.csv: one a validation."""
-    validated: list[float] = field(default_factory=list)
-    """Time that each validation took [s]."""
-    losses: list[float] = field(default_factory=list)
-    """One of each update."""
+    seconds: float = 0.0  # time spent [s], by the clock of the settings
+    updates: int = 0  # the position in the data too: each has a random stream of its own
+    best: float = math.inf  # smallest score of a validation
+    scored: tuple[float, int] = (0.0, 0)  # seconds and updates at the last validation
+    rows: list[dict[str, float]] = field(default_factory=list)  # of log.csv: one a validation
+    validated: list[float] = field(default_factory=list)  # time that each validation took [s]
+    losses: list[float] = field(default_factory=list)  # one of each update
 
     def progress(self, training: TrainingSettings) -> float:
         """Share of the budget that is spent, in [0, 1]."""
@@ -76,9 +68,7 @@ class Position:
 
     def due(self, training: TrainingSettings) -> bool:
         """Whether a validation is due: after its interval and at the end, if there were updates since the last one.
-
-        Before the end only where it, and the last one too, leave validations within their share of the minutes.
-        """
+        Before the end only where it, and the last one too, leave validations within their share of the minutes."""
         wanted = self.progress(training) - share_of(training, *self.scored) >= 1.0 / training.validations - 1.0e-9
         if training.updates is None and self.validated:
             spent, once, share = sum(self.validated), self.validated[-1], training.validation_share
@@ -132,13 +122,8 @@ def fit(
         run = TrainingRun(simulator.to(where), flows, training, out, seed)
         if resume:
             run.restore()
-        provenance = {
-            "command": " ".join([command, *sys.argv[1:]]),
-            "seed": seed,
-            "begin": None if begin is None else dict(begin.provenance),
-            "datasets": [str(path) for path in datasets],
-            "training": asdict(training),
-        }
+        provenance = {"command": " ".join([command, *sys.argv[1:]]), "seed": seed, "begin": begin and begin.provenance}
+        provenance |= {"datasets": [str(path) for path in datasets], "training": asdict(training)}
         position, bar = run.position, stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not first))
         stop = stack.enter_context(stopping())
         clock = time.process_time if training.clock == "cpu" else time.perf_counter
@@ -147,8 +132,7 @@ def fit(
             position.seconds = clock() - begun
             # The first process decides, so that all unroll the same steps, and a stop of one is a stop of all.
             wanted = position.due(training) or (baseline and not position.rows)
-            decision = (position.progress(training), wanted) if first else (0.0, 0.0)
-            progress, due, stops = sums(*decision, stop())
+            progress, due, stops = sums(first * position.progress(training), first and wanted, stop())
             if stops or (progress >= 1.0 and not due):
                 break
             if not due:
@@ -197,15 +181,13 @@ class TrainingRun:
         self.loss = DistributedDataParallel(loss) if distributed.is_initialized() else loss
         self.free = [weight for weight in simulator.parameters() if weight.requires_grad]
         matrices = [weight for weight in self.free if weight.dim() == 2]
-        others = [weight for weight in self.free if weight.dim() != 2]
         muon = torch.optim.Muon(matrices, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
-        self.optimisers: tuple[torch.optim.Optimizer, ...] = muon, torch.optim.Adam(others)
-        names = "weights", "average", "muon", "adam"
-        self.parts: dict[str, Any] = dict(zip(names, (simulator, self.average, *self.optimisers), strict=True))
+        adam = torch.optim.Adam([weight for weight in self.free if weight.dim() != 2])
+        self.optimisers: tuple[torch.optim.Optimizer, ...] = muon, adam
+        self.parts: dict[str, Any] = {"weights": simulator, "average": self.average, "muon": muon, "adam": adam}
         self.position = Position()
 
     def steps(self, progress: float) -> int:
-        """Steps that are unrolled at `progress` in [0, 1]."""
         unrolled = self.training.unroll
         return unrolled[min(int(progress * len(unrolled)), len(unrolled) - 1)]
 
@@ -228,35 +210,26 @@ class TrainingRun:
         self.position.updates += 1
         self.position.losses.append(loss.item())
 
-    def validate(
-        self, flows: Sequence[Flow], scenes: Mapping[str, Sequence[Scene]], provenance: Mapping[str, Any]
-    ) -> None:
+    def validate(self, flows: Sequence[Flow], scenes: Mapping[str, list[Scene]], provenance: Mapping[str, Any]) -> None:
         """Score the average by rollouts of `flows`, log it as row and picture, keep it with its card if it is best."""
         simulator, position, out = self.average.module.eval(), self.position, self.out
         scores = evaluate(simulator, flows)
         total = validation_score(scores)
-        losses = position.losses[position.scored[1] - position.updates :]
-        row = {
-            "minutes": round(position.seconds / 60.0, 2),
-            "updates": position.updates,
-            "loss": round(float(np.mean(losses or [math.nan])), 6),
-            "score": round(total, 4),
-        }
-        row |= {name: round(mean, 4) for name, mean in amounts(scores).items()}
+        loss = float(np.mean(position.losses[position.scored[1] - position.updates :] or [math.nan]))
+        row = {"minutes": round(position.seconds / 60.0, 2), "updates": position.updates, "loss": round(loss, 6)}
+        row |= {name: round(mean, 4) for name, mean in ({"score": total} | amounts(scores)).items()}
         position.rows.append(row)
         lines = [row, *(logged.values() for logged in position.rows)]
         files.write_text(out / "log.csv", "".join(",".join(map(str, line)) + "\n" for line in lines))
         draw(out / "log.png", position)
         tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
         if total <= position.best:
-            position.best = total
-            history = {**provenance, "score": total, "log": row}
+            position.best, history = total, {**provenance, "score": total, "log": row}
             checkpoint.save(out / BEST, simulator, history)
             card.write(out / BEST, card.describe(simulator, history, scenes, table(scores)))
             files.write_text(out / "scores.md", table(scores))
 
     def save(self) -> None:
-        """Write what `restore` reads."""
         states = {name: part.state_dict() for name, part in self.parts.items()}
         settings, content = asdict(self.simulator.settings), io.BytesIO()
         torch.save({"settings": settings, "position": asdict(self.position), **states}, content)
@@ -313,25 +286,21 @@ def load(
         [flows_of(dataset, split, settings, progress=progress) for dataset in datasets] for split in ("train", "valid")
     )
     frames = max(2 * settings.history + 1, 1 if training.correct else max(training.unroll))
-    for flow in (flow for flows in (*train, *valid) for flow in flows):
+    for flow in chain.from_iterable((*train, *valid)):
         if len(flow.positions) <= frames:
             message = f"expected at least {frames} steps of {settings.step:g} s, got {len(flow.positions) - 1}"
             raise InputError(message, where=flow.name)
-    every = [flow for flows in valid for flow in flows]
+    every = list(chain.from_iterable(valid))
     count = min(training.validate_flows, len(every))
     return train, [every[index * len(every) // count] for index in range(count)]
 
 
 def untrained(settings: ModelSettings, flows: Sequence[Flows]) -> Simulator:
-    """A model to begin with: random weights, and the mean upward acceleration of the data, which bears most of the
-    weight.
-
-    From free flight, as random weights alone have it, small steps of the weights take thousands of updates to reach it.
-    """
+    """A model to begin with: random weights, and the mean upward acceleration of the data, which bears the weight. From
+    free flight, as random weights alone have it, small steps of the weights take thousands of updates to reach it."""
     normalisation, upward = statistics(flows)
     simulator = Simulator(settings, normalisation)
-    *_, bias = simulator.network.decoder.parameters()
-    bias.data[1] = upward
+    list(simulator.network.decoder.parameters())[-1].data[1] = upward
     return simulator
 
 
@@ -346,10 +315,8 @@ def continued(model: Model, settings: ModelSettings, training: TrainingSettings)
     if not training.correct:
         simulator.correction = None
         return simulator.train().requires_grad_(True)
-    simulator.requires_grad_(False)
-    if simulator.correction is None:
-        simulator.correction = Correction(settings)
-    simulator.correction.train().requires_grad_(True)
+    correction = simulator.requires_grad_(False).correction or Correction(settings)
+    simulator.correction = correction.train().requires_grad_(True)
     return simulator
 
 
@@ -371,10 +338,11 @@ def sums(*values: float) -> list[float]:
 def joined(device: str | None) -> Iterator[torch.device]:
     """Join the processes of torchrun, if any; the device of this one, a GPU where there is one. Raises InputError."""
     kind = device or ("cuda" if torch.cuda.is_available() else "cpu")
-    if kind == "cuda" and not torch.cuda.is_available():
-        raise InputError("expected a GPU that torch can use, there is none", key="device")
-    where = torch.device(kind, int(os.environ.get("LOCAL_RANK", "0"))) if kind == "cuda" else torch.device(kind)
+    where = torch.device(kind)
     if kind == "cuda":
+        if not torch.cuda.is_available():
+            raise InputError("expected a GPU that torch can use, there is none", key="device")
+        where = torch.device(kind, int(os.environ.get("LOCAL_RANK", "0")))
         torch.cuda.set_device(where)
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield where

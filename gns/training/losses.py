@@ -27,17 +27,13 @@ from gns.surroundings.grid import stencil_of
 from gns.surroundings.state import Conditions, computed
 from gns.training.samples import Ends, Rollouts, SampleBatch, measured
 
-MARGIN = 1.5
-"""Some batches have more neighbours a particle than the one whose memory was measured."""
+MARGIN = 1.5  # some batches have more neighbours a particle than the one whose memory was measured
+# Errors of a corrected end that count as one: of a particle over L, of ends and equal shares of a flow over its extent.
 PLACE, END, SHARE = 0.1, 0.03, 0.02
-"""Errors of a corrected end that count as one: of a particle over L, of the flow's ends and of equal shares of its
-volume over its extent."""
-NORMALISED = 24
-"""Batches by which the features of a new correction are normalised."""
-CONSTANT = 1.0e-3
-"""Standard deviation of a feature below which it counts as constant [-]."""
-OF_ENDS = 0.3
-"""Weight of each of the last two."""
+NORMALISED = 24  # batches by which the features of a new correction are normalised
+CONSTANT = 1.0e-3  # standard deviation of a feature below which it counts as constant [-]
+HALF_PRECISION = bool(torch.cpu.get_capabilities().get("avx512_bf16"))  # whether products in bfloat16 are faster here
+OF_ENDS = 0.3  # weight of each of the last two
 
 
 class UnrolledLoss(nn.Module):
@@ -48,7 +44,7 @@ class UnrolledLoss(nn.Module):
         self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
         self.density = partial(density_loss, cell=simulator.settings.grid_cell, weight=training.density_weight)
         self._particle_bytes = 0.0
-        simulator.network.half_precision = half_precision()
+        simulator.network.half_precision = HALF_PRECISION
 
     def forward(self, batch: SampleBatch) -> Tensor:
         """The loss of unrolling `batch` to its last target."""
@@ -62,11 +58,7 @@ class UnrolledLoss(nn.Module):
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
-    """The loss of a rollout.
-
-    positions: of the model at the start and after each step [m], shape [K + 1, N, D]; targets: [m], [K, N, D];
-    scale: s [m].
-    """
+    """The loss of a rollout; positions: from its start on [m], [K + 1, N, D]; targets: [m], [K, N, D]; scale: s [m]."""
     steps = torch.arange(1, len(targets) + 1, device=targets.device).view(-1, 1, 1)
     error = (positions[1:] - targets) / scale
     before = torch.cat((torch.zeros_like(error[:1]), error[:-1]))
@@ -78,25 +70,21 @@ def huber(error: Tensor) -> Tensor:
     return functional.smooth_l1_loss(error, torch.zeros_like(error))
 
 
-def density_loss(
-    positions: Tensor, targets: Tensor, conditions: Conditions, *, cell: float, weight: float = 1.0
-) -> Tensor:
+def density_loss(points: Tensor, targets: Tensor, conditions: Conditions, cell: float, weight: float = 1.0) -> Tensor:
     """Error of the density of a flow at the nodes of a grid, relative, of all samples alike, times its weight,
 
         mean_b sum_n (r_n - R_n)^2 / sum_n R_n^2,    r_n = sum_i w_n(x_i) V_i / h^D
 
-    with multilinear weights w. positions x, targets: [m], [N, D]; the densities r and R are theirs; cell: h [m].
+    with multilinear weights w. points x, targets: [m], [N, D]; the densities r and R are theirs; cell: h [m].
     """
     if weight == 0.0:
-        return positions.new_zeros(())
-    samples, share = len(conditions.size), conditions.volume.unsqueeze(1) / cell ** positions.shape[1]
+        return points.new_zeros(())
+    samples, share = len(conditions.size), conditions.volume.unsqueeze(1) / cell ** points.shape[1]
     batch = None if conditions.batch is None else conditions.batch.repeat(2)
-    stencil = stencil_of(torch.cat((positions, targets)), conditions.size, cell, batch)
+    stencil = stencil_of(torch.cat((points, targets)), conditions.size, cell, batch)
     none = torch.zeros_like(share)
     # Each summed in the same order, so that the same particles have the same density to the bit.
-    density, required = (
-        stencil.scatter(torch.cat(shares)).view(samples, -1) for shares in ((share, none), (none, share))
-    )
+    density, required = (stencil.scatter(torch.cat(both)).view(samples, -1) for both in ((share, none), (none, share)))
     return weight * ((density - required).square().sum(dim=1) / required.square().sum(dim=1)).mean()
 
 
@@ -115,10 +103,9 @@ class EndLoss(nn.Module):
         assert simulator.correction is not None
         self.simulator, self.correction = simulator, simulator.correction
         self.density = partial(density_loss, cell=simulator.settings.grid_cell, weight=training.density_weight)
-        self.correction.network.half_precision = half_precision()
+        self.correction.network.half_precision = HALF_PRECISION
         if (self.correction.std != 1.0).any():
-            # Normalised before.
-            return
+            return  # normalised before
         features = []
         for ends in (rollouts.batch(0, np.random.default_rng(number)) for number in range(NORMALISED)):
             end = simulator.moment(ends.end, ends.conditions)
@@ -140,8 +127,3 @@ class EndLoss(nn.Module):
         off = (torch.stack(extents) - batch.whole) / batch.whole[..., :2].sum(dim=2, keepdim=True)
         loss = huber(error) + OF_ENDS * huber(off[..., :2] / END) + OF_ENDS * huber(off[..., 2:] / SHARE)
         return loss + self.density(positions, batch.targets[-1], conditions)
-
-
-def half_precision() -> bool:
-    """Whether products in bfloat16 are faster here."""
-    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))

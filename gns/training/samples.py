@@ -26,38 +26,28 @@ from gns.surroundings.solids import Below
 from gns.surroundings.state import Conditions, State, Tensors, in_model_units
 from gns.surroundings.units import Units
 
-MOVING = 0.02
-"""Root mean square speed above which a flow counts as moving, in the units of the model [m/s]."""
+MOVING = 0.02  # root mean square speed above which a flow counts as moving, in the units of the model [m/s]
+# Shares of the samples not of the first frame that start just after it, with a history from the initial velocities,
+# and while the flow moves; the rest starts anywhere: deposits at rest must stay.
 SHARE_EARLY, SHARE_MOVING = 0.12, 0.70
-"""Shares of the samples not of the first frame that start just after it, with a history from the initial velocities,
-and while the flow moves; the rest starts anywhere: deposits at rest must stay."""
-TRIES = 16
-"""Random times among which one is chosen at which the flow moves."""
-MOMENTS = 3
-"""Times before the end of a rollout at which it may end as well."""
-SAMPLED_TIMES = 2048
-"""Times in all over which the statistics run; where there are fewer, all."""
+TRIES = 16  # random times among which one is chosen at which the flow moves
+MOMENTS = 3  # times before the end of a rollout at which it may end as well
+SAMPLED_TIMES = 2048  # times in all over which the statistics run; where there are fewer, all
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
     """One trajectory at a model's step, with all of its particles."""
 
-    name: str
-    """The file it came from."""
+    name: str  # the file it came from
     scene: Scene
-    positions: Floats
-    """Positions one step apart [m], shape [T, N, D]; may be a map of the file, of which only what is used is read."""
-    velocity0: Floats
-    """Initial velocities [m/s], shape [N, D]."""
-    conditions: Conditions
-    """Of these particles; N volumes, frictions and cohesions."""
-    step: float
-    """Time between two positions [s]."""
+    positions: Floats  # one step apart [m], shape [T, N, D]; may be a map of the file, read where it is used
+    velocity0: Floats  # initial velocities [m/s], shape [N, D]
+    conditions: Conditions  # of these particles; N volumes, frictions and cohesions
+    step: float  # time between two positions [s]
 
     @property
     def units(self) -> Units:
-        """What one unit of the model is in it."""
         return self.conditions.units
 
     @property
@@ -71,18 +61,19 @@ class Flow:
         return float(np.square(displacements).sum(axis=1).mean()) > (MOVING * self.units.speed * self.step) ** 2
 
 
+@dataclass(frozen=True)
 class Flows(Sequence[Flow]):
     """Flows on disk, each opened when it is asked for."""
 
-    def __init__(self, files: Sequence[Path], settings: ModelSettings) -> None:
-        self._files, self._settings = files, settings
+    files: Sequence[Path]
+    settings: ModelSettings
 
     def __len__(self) -> int:
-        return len(self._files)
+        return len(self.files)
 
     def __getitem__(self, index: Any) -> Any:
-        with naming(self._files[index]):
-            return flow_of(self._files[index], self._settings)
+        with naming(self.files[index]):
+            return flow_of(self.files[index], self.settings)
 
 
 def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bool = False) -> Flows:
@@ -97,31 +88,23 @@ def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bo
 
 
 def flow_of(path: Path, settings: ModelSettings) -> Flow:
-    """The flow in a file, every so many frames that they are a step of the model apart.
-
-    Its units are those in which a rollout of the scene runs where its frames are apart by such a step; others are run
-    as they are. Raises InputError.
-    """
+    """The flow in a file, every so many frames that they are a step of the model apart. Its units are those in which a
+    rollout of the scene runs where its frames fit such a step; others are run as they are. Raises InputError."""
     trajectory = open_trajectory(path)
-    scene, frame_dt, units = trajectory.scene, trajectory.frame_dt, Units()
+    scene, frame_dt = trajectory.scene, trajectory.frame_dt
     check(scene, settings)
-    if scene.gravity > 0.0:
-        model_units = Units.of_model(scene, settings)
-        units = model_units if math.isclose(frame_dt, model_units.time * settings.step, rel_tol=1.0e-9) else units
+    units = Units.of_model(scene, settings) if scene.gravity > 0.0 else Units()
+    if not math.isclose(frame_dt, units.time * settings.step, rel_tol=1.0e-9):
+        units = Units()
     step = units.time * settings.step
     stride = round(step / frame_dt)
     fits = stride >= 1 and abs(stride * frame_dt - step) <= 1.0e-6 * step
     require(fits, "", f"frames {step:g} s apart or a whole fraction of it", f"{frame_dt:g}")
     positions, volumes = trajectory.positions[::stride], trajectory.volumes.astype(np.float32)
     cohesion = observed_cohesion(scene, np.asarray(positions[0]), trajectory.mass)
-    return Flow(
-        name=str(path),
-        scene=scene,
-        positions=positions,
-        velocity0=trajectory.velocity0,
-        conditions=conditions_of(scene, units.length * settings.cell, trajectory.friction, cohesion, volumes, units),
-        step=step,
-    )
+    around = conditions_of(scene, units.length * settings.cell, trajectory.friction, cohesion, volumes, units)
+    velocity0 = trajectory.velocity0
+    return Flow(name=str(path), scene=scene, positions=positions, velocity0=velocity0, conditions=around, step=step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,32 +113,28 @@ class SampleBatch(Tensors):
 
     state: State
     conditions: Conditions
-    targets: Tensor
-    """Positions after each of the coming steps [m], shape [K, N, D]."""
+    targets: Tensor  # positions after each of the coming steps [m], shape [K, N, D]
 
 
 def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: np.random.Generator) -> SampleBatch:
     """A sample: the stretch of a flow with `steps` targets after index `now`; rng: which particles stay (`thin`)."""
-    cell, kept, whole = flow.units.length * settings.cell, settings.particles_per_cell, flow.conditions
+    cell, kept = flow.units.length * settings.cell, settings.particles_per_cell
     particles, volumes = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
     first = max(0, now - settings.history)
     frames = torch.from_numpy(np.asarray(flow.positions[first : now + 1 + steps, particles]))
-    given, velocity0 = frames[: now + 1 - first], torch.from_numpy(flow.velocity0[particles])
-    conditions = replace(
-        whole, friction=whole.friction[particles], cohesion=whole.cohesion[particles], volume=torch.from_numpy(volumes)
-    )
-    state = State.observed(given, velocity0, step=flow.step, history=settings.history)
+    past, future = frames.tensor_split([now + 1 - first])
+    state = State.observed(past, torch.from_numpy(flow.velocity0[particles]), step=flow.step, history=settings.history)
+    of_particles = {name: getattr(flow.conditions, name)[particles] for name in ("friction", "cohesion")}
+    conditions = replace(flow.conditions, volume=torch.from_numpy(volumes), **of_particles)
     state, conditions = in_model_units(state, conditions)
-    return SampleBatch(state=state, conditions=conditions, targets=frames[now + 1 - first :] / flow.units.length)
+    return SampleBatch(state=state, conditions=conditions, targets=future / flow.units.length)
 
 
 def batched(samples: Sequence[SampleBatch]) -> SampleBatch:
     """Join samples; they have equally many targets."""
-    return SampleBatch(
-        state=State.joined([sample.state for sample in samples]),
-        conditions=Conditions.joined([sample.conditions for sample in samples]),
-        targets=torch.cat([sample.targets for sample in samples], dim=1),
-    )
+    state, targets = State.joined([sample.state for sample in samples]), [sample.targets for sample in samples]
+    conditions = Conditions.joined([sample.conditions for sample in samples])
+    return SampleBatch(state=state, conditions=conditions, targets=torch.cat(targets, dim=1))
 
 
 class Sampler:
@@ -171,14 +150,12 @@ class Sampler:
         return batched([self.sample(steps, rng) for _ in range(self._training.batch)])
 
     def sample(self, steps: int, rng: np.random.Generator) -> SampleBatch:
-        """A sample with `steps` targets."""
         dataset, index = self._drawn(rng)
         flow = self._datasets[dataset][index]
         now = self._start(flow, len(flow.positions) - 1 - steps, rng)
         return turned(stretch(flow, self._settings, now=now, steps=steps, rng=rng), rng)
 
     def _drawn(self, rng: np.random.Generator) -> tuple[int, int]:
-        """The number of a dataset, and that of a flow in it."""
         dataset = int(rng.choice(len(self._datasets), p=self._shares))
         return dataset, int(rng.integers(len(self._datasets[dataset])))
 
@@ -189,11 +166,10 @@ class Sampler:
         kind = rng.random()
         if kind < SHARE_EARLY:
             return min(int(rng.integers(1, 2 * self._settings.history + 1)), last)
-        anywhere = rng.integers(0, last + 1, size=TRIES)
-        if kind < SHARE_EARLY + SHARE_MOVING:
-            # The first that moves is a random one of those that move, and only two frames of each are read.
-            return next((int(now) for now in anywhere if flow.moves(int(now))), int(anywhere[0]))
-        return int(anywhere[0])
+        anywhere: list[int] = rng.integers(0, last + 1, size=TRIES).tolist()
+        # The first that moves is a random one of those that move, and only two frames of each are read.
+        moving = filter(flow.moves, anywhere if kind < SHARE_EARLY + SHARE_MOVING else ())
+        return next(moving, anywhere[0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,8 +177,7 @@ class Ends(SampleBatch):
     """A batch of rollouts by a model, from their starts to some end; the target is where the MPM's flow is then."""
 
     end: State
-    whole: Tensor
-    """`measured` of all particles of the MPM's flow then, along each level axis [m], shape [B, A, 2 + SHARES]."""
+    whole: Tensor  # `measured` of all particles of the MPM's flow then [m], shape [B, A, 2 + SHARES]
 
 
 class Rollouts(Sampler):
@@ -230,19 +205,16 @@ class Rollouts(Sampler):
 
     def _rolled_out(self, flow: Flow, rng: np.random.Generator) -> list[Ends]:
         """A rollout of the flow to its end, and `MOMENTS` before it."""
-        settings, last = self._settings, len(flow.positions) - 1
+        last = len(flow.positions) - 1
         now, seed = self._start(flow, last - 1, rng), rng.integers(2**32)
-        every = replace(settings, particles_per_cell=len(flow.volume))
-        sample, whole = (
-            turned(stretch(flow, variant, now=now, steps=last - now, rng=rng), np.random.default_rng(seed))
-            for variant in (settings, every)
-        )
+        steps, every = last - now, replace(self._settings, particles_per_cell=len(flow.volume))
+        drawn = (stretch(flow, settings, now=now, steps=steps, rng=rng) for settings in (self._settings, every))
+        sample, whole = (turned(part, np.random.default_rng(seed)) for part in drawn)
         there = sample.to(self._simulator.displacement_scale.device)
         with torch.no_grad():
-            positions = unroll(self._simulator, there.state, there.conditions, last - now, corrected=False).cpu()
-        moments = sorted({last - now, *(int(moment) for moment in rng.integers(1, last - now + 1, size=MOMENTS))})
+            positions = unroll(self._simulator, there.state, there.conditions, steps, corrected=False).cpu()
         ends = []
-        for step in moments:
+        for step in sorted({steps, *rng.integers(1, steps + 1, size=MOMENTS).tolist()}):
             batch = replace(sample, targets=sample.targets[step - 1 : step])
             required = measured(whole.targets[step - 1], whole.conditions.volume).unsqueeze(0)
             ends.append(Ends(**vars(batch), end=sample.state.after(positions, step), whole=required))
@@ -250,11 +222,10 @@ class Rollouts(Sampler):
 
 
 def measured(positions: Tensor, volume: Tensor) -> Tensor:
-    """Ends and equal shares of a flow along each level axis [m], shape [A, 2 + SHARES], differentiably.
-
-    The end at larger coordinates, that at smaller ones times -1, and the middles of equal shares of the volume, as
-    `datasets.flow.measures` has them along x. positions: [m], shape [N, D]; volume: of the particles [m^D], shape [N].
-    """
+    """Ends and equal shares of a flow along each level axis [m], shape [A, 2 + SHARES], differentiably. The end at
+    larger coordinates, that at smaller ones times -1, and the middles of equal shares of the volume, as
+    `datasets.flow.measures` has them along x.
+    positions: [m], shape [N, D]; volume: of the particles [m^D], shape [N]."""
     lengths = []
     for axis in range(0, positions.shape[1], 2):
         x, order = positions[:, axis].sort()
@@ -318,10 +289,8 @@ def reflected(sample: SampleBatch, axis: int | None) -> SampleBatch:
 
 def statistics(datasets: Sequence[Sequence[Flow]]) -> tuple[Normalisation, float]:
     """Normalisation constants, and the mean upward acceleration without gravity's over its scale [-]; over random times
-    at which the flows move, always the same times. Along level axes the mean is 0, for samples are mirrored.
-
-    Of each flow as many times are read as make `SAMPLED_TIMES` in all, at least two.
-    """
+    at which the flows move, always the same times. Along level axes the mean is 0, for samples are mirrored. Of each
+    flow as many times are read as make `SAMPLED_TIMES` in all, at least two."""
     squares, upward, count, size, friction = np.zeros(2), 0.0, 0, 0, []
     share = max(2, -(-SAMPLED_TIMES // sum(map(len, datasets))))
     rng = np.random.default_rng(0)
@@ -334,11 +303,9 @@ def statistics(datasets: Sequence[Sequence[Flow]]) -> tuple[Normalisation, float
             squares += [np.square(change, dtype=np.float64).sum() for change in (moved, then - moved - fall)]
             upward += float((then - moved - fall)[:, 1].sum(dtype=np.float64))
             count, size = count + len(moved), size + moved.size
-    displacement, acceleration = np.sqrt(squares / max(size, 1)).tolist()
+    displacement, acceleration = (scale or 1.0 for scale in np.sqrt(squares / max(size, 1)).tolist())
+    mean, std = float(np.mean(friction)), float(np.std(friction)) or 1.0
     normalisation = Normalisation(
-        displacement_scale=displacement or 1.0,
-        acceleration_scale=acceleration or 1.0,
-        friction_mean=float(np.mean(friction)),
-        friction_std=float(np.std(friction)) or 1.0,
+        displacement_scale=displacement, acceleration_scale=acceleration, friction_mean=mean, friction_std=std
     )
-    return normalisation, upward / max(count, 1) / (acceleration or 1.0)
+    return normalisation, upward / max(count, 1) / acceleration

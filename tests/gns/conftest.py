@@ -87,8 +87,7 @@ def spreading(friction_deg: float, *, duration: float = 0.25, seed: int = 0) -> 
     points = initial_particles(scene)
     time = np.arange(scene.frames) * scene.frame_dt
     stretch = 1.0 + (1.2 - points.friction[0]) * (1.0 - np.cos(np.pi * time / duration))
-    factors = np.stack((stretch, 1.0 / stretch), axis=1)
-    return flow_of(scene, points.positions * factors[:, None])
+    return flow_of(scene, points.positions * np.stack((stretch, 1.0 / stretch), axis=1)[:, None])
 
 
 @pytest.fixture(scope="session")

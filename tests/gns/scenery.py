@@ -1,4 +1,6 @@
-"""Boxes and ground around a few particles, as conditions of a model."""
+"""Boxes and ground around a few particles, as conditions of a model, and how their gradients are checked."""
+
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -6,6 +8,8 @@ from torch import Tensor
 from gns.surroundings.state import Conditions, Ground
 
 ROOM = {2: (1.0, 0.5), 3: (1.0, 0.5, 0.8)}
+double = partial(torch.tensor, dtype=torch.float64)
+gradients_hold = partial(torch.autograd.gradcheck, eps=1e-7, atol=1e-5, fast_mode=True)
 PADDING = [[-10.0, -10.0, -10.0], [-10.0, -10.0, -10.0]]
 
 
@@ -16,12 +20,10 @@ def boxes(*corners: list[list[float]], dimension: int = 2, dtype: torch.dtype = 
 
 def scattered(dimension: int) -> Tensor:
     """Two samples: a free box and three that touch each other, floor and wall; a thin box, the free one and padding."""
-    free = [[0.3, 0.1, 0.3], [0.4, 0.3, 0.4]]
-    pair = [[[0.6, 0.0, 0.0], [0.7, 0.3, 0.12]], [[0.7, 0.0, 0.0], [0.8, 0.2, 0.12]]]
-    upon = [[0.6, 0.3, 0.0], [0.7, 0.4, 0.3]]
-    thin = [[0.0, 0.0, 0.5], [0.02, 0.35, 0.8]]
-    first = boxes(free, *pair, upon, dimension=dimension)
-    return torch.cat((first, boxes(thin, free, PADDING, PADDING, dimension=dimension)))
+    free, upon = [[0.3, 0.1, 0.3], [0.4, 0.3, 0.4]], [[0.6, 0.3, 0.0], [0.7, 0.4, 0.3]]
+    pair = [[0.6, 0.0, 0.0], [0.7, 0.3, 0.12]], [[0.7, 0.0, 0.0], [0.8, 0.2, 0.12]]
+    thin = [[0.0, 0.0, 0.5], [0.02, 0.35, 0.8]], free, PADDING, PADDING
+    return torch.cat((boxes(free, *pair, upon, dimension=dimension), boxes(*thin, dimension=dimension)))
 
 
 def turned_boxes(dimension: int) -> tuple[Tensor, Tensor]:
@@ -29,7 +31,7 @@ def turned_boxes(dimension: int) -> tuple[Tensor, Tensor]:
     first = [[0.3, 0.15, 0.3], [0.4, 0.3, 0.36]], [[0.65, 0.12, 0.1], [0.7, 0.37, 0.35]]
     second = [[0.1, 0.15, 0.5], [0.25, 0.2, 0.6]], [[0.6, 0.1, 0.3], [0.7, 0.2, 0.4]]
     both = torch.cat((boxes(*first, dimension=dimension), boxes(*second, dimension=dimension)))
-    return both, torch.tensor([[0.5, -0.3], [-0.7, 0.0]], dtype=torch.float64)
+    return both, double([[0.5, -0.3], [-0.7, 0.0]])
 
 
 def conditions(
@@ -68,9 +70,7 @@ def conditions(
 def plane(dimension: int, rise: tuple[float, ...] = (0.3, -0.2)) -> Ground:
     """Ground that rises by so much along x (and z), 0.1 m high in the corner of the room."""
     spacing, plan = 0.05, ROOM[dimension][::2]
-    grids = torch.meshgrid(
-        *(spacing * torch.arange(round(length / spacing) + 2).double() for length in plan), indexing="ij"
-    )
+    posts = (spacing * torch.arange(round(length / spacing) + 2).double() for length in plan)
+    grids = torch.meshgrid(*posts, indexing="ij")
     elevation = 0.1 + sum(slope * grid for slope, grid in zip(rise, grids, strict=False))
-    friction = 0.4 + 0.1 * grids[0]
-    return Ground(elevation=elevation[None], friction=friction[None], spacing=spacing)
+    return Ground(elevation=elevation[None], friction=(0.4 + 0.1 * grids[0])[None], spacing=spacing)

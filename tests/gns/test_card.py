@@ -1,10 +1,10 @@
 """Models on disk, whole or refused in a line; their cards: training ranges, and the quantities of a scene outside."""
 
-import dataclasses
 import json
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,8 +42,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_card_says_what_the_model_is(model: Path) -> None:
     model_card = card.read(model)
-    simulator = checkpoint.load(model).simulator
-    first = simulator.network.encoder.mlp[0]
+    first = checkpoint.load(model).simulator.network.encoder.mlp[0]
     assert sum(model_card.features.values()) == first.in_features
     assert model_card.settings == SCALED
     assert model_card.normalisation["friction_mean"] == pytest.approx(NORMALISATION.friction_mean)
@@ -63,15 +62,15 @@ def test_a_card_says_what_the_model_is(model: Path) -> None:
 
 
 COLUMN = read_scene("column-tall-42")
-column = partial(dataclasses.replace, COLUMN)
+column = partial(replace, COLUMN)
 
 
 def with_mass(**changes: Any) -> Scene:
-    return column(masses=(dataclasses.replace(COLUMN.masses[0], **changes),))
+    return column(masses=(replace(COLUMN.masses[0], **changes),))
 
 
 def sand(**changes: Any) -> Scene:
-    return column(material=dataclasses.replace(COLUMN.material, **changes))
+    return column(material=replace(COLUMN.material, **changes))
 
 
 def on(slope: float) -> Scene:
@@ -105,9 +104,7 @@ OUTSIDE: dict[str, Callable[[], Scene]] = {
     "room_along": lambda: with_mass(size=(0.95, 0.4)),
     "speed": lambda: with_mass(velocity=(4.0, 0.0)),
     "spin": lambda: with_mass(angular_velocity=5.0),
-    "baffles": lambda: column(
-        baffles=tuple(Baffle(lower=(0.3 + 0.08 * row, 0.0), size=(0.02, 0.05)) for row in range(8))
-    ),
+    "baffles": lambda: column(baffles=tuple(Baffle(lower=(0.3 + 0.08 * i, 0.0), size=(0.02, 0.05)) for i in range(8))),
     "baffle_distance": lambda: column(
         domain=Domain(size=(3.0, 1.0), cell=0.01), baffles=(Baffle(lower=(2.0, 0.0), size=(0.1, 0.1)),)
     ),
@@ -130,7 +127,7 @@ def test_a_scene_outside_is_warned_of_in_a_line_that_names_the_quantity(name: st
 
 def test_a_quantity_outside_is_named_with_its_range_and_by_how_much(model: Path) -> None:
     ranges = {**card.read(model).ranges, "friction_deg": (12.0, 48.0), "damping": (0.12, 0.12)}
-    scene = dataclasses.replace(sand(friction_deg=60.0), damping=0.0)
+    scene = replace(sand(friction_deg=60.0), damping=0.0)
     assert outside(scene, ranges) == [
         "friction_deg 60 deg (trained: 12 to 48, 12 above)",
         "damping 0 (trained: 0.12, 0.12 below)",
@@ -140,17 +137,15 @@ def test_a_quantity_outside_is_named_with_its_range_and_by_how_much(model: Path)
     for angle, inside in ((6.0, False), (7.0, True), (57.0, True), (60.0, False)):
         assert (outside(sand(friction_deg=angle), wide) == []) is inside, angle
     # A tenth of the width is admitted, a shorter flow is a part of a longer one, stiffer sand is as good as rigid.
-    near = dataclasses.replace(sand(friction_deg=51.0, young=1.0e8), duration=0.1)
+    near = replace(sand(friction_deg=51.0, young=1.0e8), duration=0.1)
     assert outside(near, ranges | {"damping": (0.0, 0.12)}) == []
 
 
 def test_the_band_is_that_of_the_narrowest_dataset_that_holds_the_scene(model: Path) -> None:
     wide = card.read(model).datasets["flow2d"]
-    narrow = dataclasses.replace(wide, ranges=wide.ranges | {"friction_deg": (40.0, 45.0)})
-    bands = {
-        name: Calibration(front={"0.95": q}, profile={"0.95": q}, flows=20) for name, q in (("a", 0.2), ("b", 0.1))
-    }
-    model_card = dataclasses.replace(card.read(model), datasets={"a": wide, "b": narrow}).keeping(bands)
+    narrow = replace(wide, ranges=wide.ranges | {"friction_deg": (40.0, 45.0)})
+    bands = {key: Calibration(front={"0.95": q}, profile={"0.95": q}, flows=20) for key, q in (("a", 0.2), ("b", 0.1))}
+    model_card = replace(card.read(model), datasets={"a": wide, "b": narrow}).keeping(bands)
     assert model_card.calibration(sand(friction_deg=42.0)) == bands["b"]
     assert model_card.calibration(sand(friction_deg=30.0)) == bands["a"]
     # Outside of all the widest: the warning is another matter.

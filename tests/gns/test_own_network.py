@@ -1,7 +1,7 @@
 """A network of one's own: what it must have, where it is taken, on how many threads it runs."""
 
-import dataclasses
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,10 +60,6 @@ def test_it_is_scored_calibrated_and_predicts_a_band(settings: ModelSettings, da
     refused(gns.predict, scene, model=model, said="calibration: expected a calibration, by gns.score.calibrated")
 
 
-class Nothing(nn.Module):
-    """Without settings."""
-
-
 class OfGraph(nn.Module):
     """With another forward."""
 
@@ -85,22 +81,21 @@ class Forgetful(Braked):
 
     def forward(self, state: State, conditions: Conditions) -> State:
         after = super().forward(state, conditions)
-        return dataclasses.replace(after, displacements=after.displacements[-1:])
+        return replace(after, displacements=after.displacements[-1:])
 
 
 @pytest.mark.parametrize(
     ("model", "said"),
     [
         (print, "model: expected a torch.nn.Module with settings and forward(state, conditions)"),
-        (Nothing(), "Nothing.settings: expected gns.settings.ModelSettings, got None"),
+        (nn.ReLU(), "ReLU.settings: expected gns.settings.ModelSettings, got None"),
         (OfGraph(), "OfGraph.forward: expected forward(state, conditions), got forward(x: "),
         (Positions(ModelSettings()), "forward: expected a State of shapes"),
         (Forgetful(ModelSettings()), "forward: expected a State of shapes"),
     ],
 )
 def test_what_is_no_model_is_named_in_a_line(model: Any, said: str) -> None:
-    scene = scene_of(Mass(lower=(0.1, 0.4), size=(0.1, 0.1)), duration=0.1)
-    refused(gns.simulate, scene, model=model, said=said)
+    refused(gns.simulate, scene_of(Mass(lower=(0.1, 0.4), size=(0.1, 0.1)), duration=0.1), model=model, said=said)
 
 
 class Counted(torch.autograd.Function):
@@ -152,7 +147,7 @@ def test_rollouts_and_their_gradients_run_on_one_thread() -> None:
     class Watched(Braked):
         def forward(self, state: State, conditions: Conditions) -> State:
             after = super().forward(state, conditions)
-            return dataclasses.replace(after, positions=Counted.apply(after.positions))
+            return replace(after, positions=Counted.apply(after.positions))
 
     settings = ModelSettings(cell=0.01, body_length=0.1)
     problem = problem_of(2, "friction_deg")

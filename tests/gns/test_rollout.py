@@ -1,7 +1,7 @@
 """`python -m gns.rollout` from rest and from frames, and its refusals."""
 
-import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +29,8 @@ def files(simulator: Simulator, tmp_path: Path) -> dict[str, Path]:
     write_scene(SCENE, paths["scene"])
     checkpoint.save(paths["model"], simulator, {})
     whole = spreading(30.0)
-    short = dataclasses.replace(SCENE, duration=0.05)
-    dataclasses.replace(whole, positions=whole.positions[:21], time=whole.time[:21], scene=short).save(paths["start"])
+    short = replace(SCENE, duration=0.05)
+    replace(whole, positions=whole.positions[:21], time=whole.time[:21], scene=short).save(paths["start"])
     return paths
 
 

@@ -1,7 +1,7 @@
 """How far a rollout may be from the MPM: scores, calibrated bands, and the command."""
 
-import dataclasses
 import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -64,9 +64,8 @@ def test_new_flows_are_within_as_often_as_the_level_says(heavy: bool, count: int
         band, errors = calibrated(scores_of(drawn(count))).front, np.abs(drawn(200))
         shares.append([np.mean(errors <= band[f"{level:g}"]) for level in card.LEVELS])
     # Split conformal prediction: level to level + 1 / (n + 1).
-    assert np.mean(shares, axis=0) == pytest.approx(
-        np.add(card.LEVELS, 0.5 / (count + 1)), abs=0.02 + 0.5 / (count + 1)
-    )
+    half = 0.5 / (count + 1)
+    assert np.mean(shares, axis=0) == pytest.approx(np.add(card.LEVELS, half), abs=0.02 + half)
 
 
 @pytest.fixture
@@ -81,7 +80,7 @@ def model(settings: ModelSettings, dataset: Path, tmp_path: Path) -> Path:
 
 
 def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = dataclasses.replace(spreading(30.0).scene, duration=0.1)
+    scene = replace(spreading(30.0).scene, duration=0.1)
     refused(gns.predict, scene, model=model, said="model.json: calibration: expected a calibration")
     assert command_line.run(score, "score", [str(dataset), "--model", str(model), "--keep"]) == 0
     said, model_card = capsys.readouterr().out, card.read(model)
@@ -98,7 +97,7 @@ def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: 
     assert prediction.half_width == pytest.approx(calibration.front["0.8"] * (front - rear))
     assert prediction.profile_error == pytest.approx(calibration.profile["0.8"] * (front - rear))
     assert prediction.warning is None
-    assert "slope_deg 20" in (gns.predict(dataclasses.replace(scene, slope_deg=20.0), model=model).warning or "")
+    assert "slope_deg 20" in (gns.predict(replace(scene, slope_deg=20.0), model=model).warning or "")
     refused(gns.predict, scene, model=model, level=0.9, said="level: expected one of 0.5, 0.8, 0.95, got 0.9")
 
 
@@ -121,7 +120,7 @@ def test_a_table_has_mean_amounts_and_the_worst_of_what_is_known() -> None:
     assert (amounts["front"], amounts["overlap in plan"]) == ("1.3 % (-3.0)", "90.0 % (80.0)")
     assert amounts["creep"] == "2.0 mm/s (2.0)"
     # A front at a wall is right of any model; of flows of which none rests nothing is known of the creep.
-    row = table([dataclasses.replace(flow_score, creep=math.nan, at_wall=True) for flow_score in many]).splitlines()[-1]
+    row = table([replace(flow_score, creep=math.nan, at_wall=True) for flow_score in many]).splitlines()[-1]
     start, flows, held, front, profile, *_, creeps = (cell.strip() for cell in row.strip("|").split("|"))
     assert (start, flows, held, front, profile, creeps) == ("released at rest", "3", "3", "-", "0.0 % (0.0)", "-")
     assert calibrated(many).errors["overlap"] == pytest.approx(0.9)
@@ -143,16 +142,14 @@ def flying(flow: Flow) -> Flow:
     start = flow.positions[0] + np.array([0.2, 0.1], np.float32)
     positions = start + flight.displacement(flow.step * np.arange(16))[:, None]
     velocity0 = np.full_like(start, 1.0) * np.array([0.1, 1.0], np.float32)
-    return dataclasses.replace(flow, positions=positions.astype(np.float32), velocity0=velocity0)
+    return replace(flow, positions=positions.astype(np.float32), velocity0=velocity0)
 
 
-def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
-    simulator: Simulator, settings: ModelSettings, dataset: Path
-) -> None:
+def test_flight_is_right_and_a_collapse_wrong(simulator: Simulator, settings: ModelSettings, dataset: Path) -> None:
     flows = flows_of(dataset, "valid", settings)
     wrong = evaluate(simulator, [flows[1]])[0]
     # With all particles, so that nothing is missing of the cloud.
-    simulator.settings = dataclasses.replace(settings, particles_per_cell=4)
+    simulator.settings = replace(settings, particles_per_cell=4)
     right = evaluate(simulator, [flying(flows[0])])[0]
     assert not right.released
     assert abs(right.front) < 2e-3
@@ -169,7 +166,7 @@ def test_sand_that_lies_flat_is_scored_as_wrong_though_its_front_is_right(
     flow = flows_of(dataset, "valid", settings)[1]
     assert math.isnan(evaluate(simulator, [flow])[0].creep)
     # With a moment more, at rest.
-    flow = dataclasses.replace(flow, positions=np.concatenate((flow.positions, flow.positions[-1:])))
+    flow = replace(flow, positions=np.concatenate((flow.positions, flow.positions[-1:])))
 
     def rolled(flat: bool) -> Score:
         def unroll(_: Simulator, state: State, conditions: Conditions, steps: int, **named: bool) -> torch.Tensor:
@@ -180,7 +177,7 @@ def test_sand_that_lies_flat_is_scored_as_wrong_though_its_front_is_right(
             return end.expand(steps + 1, -1, -1)
 
         monkeypatch.setattr("gns.simulator.unroll", unroll)
-        simulator.settings = dataclasses.replace(settings, particles_per_cell=4)
+        simulator.settings = replace(settings, particles_per_cell=4)
         return evaluate(simulator, [flow])[0]
 
     right, flat = rolled(False), rolled(True)

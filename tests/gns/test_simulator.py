@@ -7,9 +7,9 @@
 of this file, on the cells of the scene, in single precision.
 """
 
-import dataclasses
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,17 +35,17 @@ def test_the_order_of_the_particles_does_not_matter(lively: Simulator, cloud: Cl
     lively.double()
     state, conditions = (part.to(dtype=torch.float64) for part in cloud(lower=(0.0, 0.0)))
     friction = torch.linspace(0.3, 0.9, len(state.positions), dtype=torch.float64)
-    conditions = dataclasses.replace(conditions, friction=friction)
+    conditions = replace(conditions, friction=friction)
     order = torch.randperm(len(friction), generator=torch.Generator().manual_seed(3))
     shuffled = State(positions=state.positions[order], displacements=state.displacements[:, order])
-    after = lively(shuffled, dataclasses.replace(conditions, friction=friction[order]))
+    after = lively(shuffled, replace(conditions, friction=friction[order]))
     torch.testing.assert_close(after.positions, lively(state, conditions).positions[order])
 
 
 def test_far_from_the_walls_a_shift_by_grid_cells_changes_nothing(lively: Simulator, cloud: Cloud) -> None:
     lively.double()
     state, conditions = (part.to(dtype=torch.float64) for part in cloud(velocity=(0.5, 0.2)))
-    conditions = dataclasses.replace(conditions, size=torch.full((1, 2), 8.0, dtype=torch.float64))
+    conditions = replace(conditions, size=torch.full((1, 2), 8.0, dtype=torch.float64))
     shift = lively.settings.grid_cell * torch.tensor([200.0, 31.0], dtype=torch.float64)
     moved = State(positions=state.positions + shift, displacements=state.displacements)
     with torch.no_grad():
@@ -70,11 +70,11 @@ def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> No
     with torch.no_grad():
         lively.network.decoder.mlp[-1].weight.mul_(0.1)
     state, conditions = cloud(lower=(0.4, 0.4))
-    conditions = dataclasses.replace(conditions, gravity=torch.zeros(1, 2))
+    conditions = replace(conditions, gravity=torch.zeros(1, 2))
     speeds = []
-    two = dataclasses.replace(conditions, batch=torch.tensor([0, 0, 1]), size=torch.ones(2, 2))
+    two = replace(conditions, batch=torch.tensor([0, 0, 1]), size=torch.ones(2, 2))
     for rest_speed, training in ((0.0, True), (0.05, True), (0.05, False)):
-        lively.train(training).settings = dataclasses.replace(lively.settings, rest_speed=rest_speed)
+        lively.train(training).settings = replace(lively.settings, rest_speed=rest_speed)
         with torch.no_grad():
             moved = unroll(lively, state, conditions, 40)[-1] - state.positions
         speeds.append(float(moved.norm(dim=1).mean()) / (40 * lively.settings.step))
@@ -85,12 +85,10 @@ def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> No
     assert moving(torch.tensor([[0.1, 0.0], [0.0, 0.0], [2.0, 0.0]]), 1.0, two).flatten().tolist() == [0.0, 0.0, 1.0]
 
 
-def test_a_rollout_of_a_flow_that_rests_takes_no_more_steps(
-    lively: Simulator, cloud: Cloud, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flow_at_rest_takes_no_more_steps(lively: Simulator, cloud: Cloud, monkeypatch: pytest.MonkeyPatch) -> None:
     state, conditions = cloud(lower=(0.4, 0.4))
-    still = dataclasses.replace(conditions, gravity=torch.zeros(1, 2))
-    lively.eval().settings = dataclasses.replace(lively.settings, rest_speed=10.0)
+    still = replace(conditions, gravity=torch.zeros(1, 2))
+    lively.eval().settings = replace(lively.settings, rest_speed=10.0)
     calls, step = [], lively.forward
     monkeypatch.setattr(lively, "forward", lambda *given: calls.append(1) or step(*given))
     with torch.no_grad():
@@ -144,7 +142,7 @@ def test_what_can_stand_is_what_no_known_law_moves(deep: bool) -> None:
     assert not stands(mound(35.0, 5.0, 0.0, floor_friction=0.1, deep=deep))
     assert stands(mound(35.0, 5.0, 0.0, floor_friction=0.25, deep=deep))
     # A side that is cut, whatever lies behind it; a mound on terrain of that tilt.
-    assert not stands(dataclasses.replace(read_scene("baffles-2" if deep else "column-short-21"), baffles=()))
+    assert not stands(replace(read_scene("baffles-2" if deep else "column-short-21"), baffles=()))
     scene, plan = mound(35.0, 5.0, 0.0, deep=deep), (0.0, 3.0)
     for rise, same in ((0.05, True), (0.2, False)):
         rows = tuple(tuple(0.05 + rise * x for _ in plan) for x in plan)
@@ -153,14 +151,14 @@ def test_what_can_stand_is_what_no_known_law_moves(deep: bool) -> None:
         (mass,) = scene.masses
         lifted = tuple((p[0], p[1] + 0.05 + rise * p[0], *p[2:]) for p in mass.vertices)
         ground = Solid(kind="terrain", friction=0.5, **points)
-        masses = (dataclasses.replace(mass, vertices=lifted),)
-        assert stands(dataclasses.replace(scene, solids=(ground,), masses=masses)) is same
+        masses = (replace(mass, vertices=lifted),)
+        assert stands(replace(scene, solids=(ground,), masses=masses)) is same
 
 
 @pytest.mark.parametrize("name", ["column-tall-42", "layers-10"])
 def test_shipped_flows_come_to_rest(name: str) -> None:
     scene = read_scene(name)
-    flow = gns.simulate(dataclasses.replace(scene, duration=1.2 * scene.duration))
+    flow = gns.simulate(replace(scene, duration=1.2 * scene.duration))
     assert flow.positions[-2:, :, 0].max() > flow.positions[0, :, 0].max() + 0.1
     speeds = np.linalg.norm(flow.positions[-1] - flow.positions[-2], axis=1) / (flow.time[-1] - flow.time[-2])
     assert speeds.max() < 1e-4
@@ -179,7 +177,7 @@ def problem(lively: Simulator, cloud: Cloud) -> tuple[Simulator, State, Conditio
 def front(problem: tuple[Simulator, State, Conditions], friction: Tensor, kept_steps: int) -> Tensor:
     """The x [m] that 99.5 % of the points are behind after a rollout."""
     simulator, state, conditions = problem
-    conditions = dataclasses.replace(conditions, friction=friction.expand(len(state.positions)))
+    conditions = replace(conditions, friction=friction.expand(len(state.positions)))
     positions = unroll(simulator, state, conditions, STEPS, kept_steps=kept_steps)
     return torch.quantile(positions[-1, :, 0], 0.995)
 
@@ -220,8 +218,8 @@ def mean_x(simulator: Simulator, scene: str, change: torch.Tensor) -> torch.Tens
     """Mean x [m] of the particles after the steps, with tan(phi) changed."""
     initial = initial_state(read_scene(scene), simulator.settings)
     # Thrown, so that contact forces act from the first step on.
-    moving = dataclasses.replace(initial.state, displacements=initial.state.displacements + 0.002)
-    conditions = dataclasses.replace(initial.conditions, friction=initial.conditions.friction + change)
+    moving = replace(initial.state, displacements=initial.state.displacements + 0.002)
+    conditions = replace(initial.conditions, friction=initial.conditions.friction + change)
     return unroll(simulator, moving, conditions, STEPS)[-1, :, 0].mean()
 
 
@@ -261,8 +259,7 @@ def figures(flow: Trajectory, column: float) -> dict[str, Any]:
 @pytest.mark.parametrize("name", MPM)
 def test_a_shipped_model_is_as_near_to_the_mpm_as_its_card_says(name: str) -> None:
     scene, expected = read_scene(name), MPM[name]
-    model_card = card.read(shipped(scene))
-    band = model_card.calibration(scene)
+    band = card.read(shipped(scene)).calibration(scene)
     deposit = figures(gns.simulate(scene), expected["column"])
     rear, front = expected["ends"]
     assert deposit["ends"][1] == pytest.approx(front, abs=BANDS * band.front["0.95"] * (front - rear))

@@ -1,6 +1,6 @@
 """The correction of a rollout's end: what it keeps, what it learns, and where it is left out."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +30,8 @@ def corrected(lively: Simulator) -> Simulator:
 
 def test_the_end_is_moved_and_the_way_to_it_stretched(corrected: Simulator, cloud: Cloud) -> None:
     state, conditions = (part.to(dtype=torch.float64) for part in cloud(lower=(0.1, 0.0), velocity=(1.0, 0.0)))
-    raw = unroll(corrected, state, conditions, 12, corrected=False)
     frames = unroll(corrected, state, conditions, 12)
-    off = (frames - raw).norm(dim=2)
+    off = (frames - unroll(corrected, state, conditions, 12, corrected=False)).norm(dim=2)
     assert not off[0].any()
     assert off[-1].median() > 1e-4
     # In proportion to the motion so far, but where the floor or a wall stops it.
@@ -40,8 +39,7 @@ def test_the_end_is_moved_and_the_way_to_it_stretched(corrected: Simulator, clou
     share = (off[1:, free] / off[-1, free]).median(dim=1).values
     assert (share.diff() >= -1e-12).all()
     assert 0.0 < share[0] < 0.3
-    size = conditions.size[0]
-    assert ((frames[1:] >= 0.0) & (frames[1:] <= size)).all()
+    assert ((frames[1:] >= 0.0) & (frames[1:] <= conditions.size[0])).all()
     # Sand that has not moved stays.
     still = state.positions.expand(4, -1, -1)
     torch.testing.assert_close(stretched(still, torch.ones_like(state.positions), conditions), still)
@@ -60,7 +58,7 @@ def test_the_gradient_of_a_corrected_end_is_that_of_differences(corrected: Simul
     state, conditions = (part.to(dtype=torch.float64) for part in cloud(lower=(0.3, 0.2), velocity=(0.5, 0.0)))
 
     def mean_x(friction: torch.Tensor) -> torch.Tensor:
-        changed = dataclasses.replace(conditions, friction=conditions.friction + friction)
+        changed = replace(conditions, friction=conditions.friction + friction)
         return unroll(corrected, state, changed, 5)[-1, :, 0].mean()
 
     change, step = torch.zeros((), dtype=torch.float64, requires_grad=True), 1e-6
@@ -85,8 +83,7 @@ def test_a_correction_learns_and_is_left_out_where_the_steps_change(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # In free flight: the ends of what hardly moves would not be moved either.
-    tiny = ModelSettings(width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
-    simulator = Simulator(tiny, NORMALISATION)
+    simulator = Simulator(ModelSettings(width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1), NORMALISATION)
     checkpoint.save(tmp_path / "steps.safetensors", simulator, {})
     usual = ("--device", "cpu", "--unroll", "1", "--threads", "1")
     begin = ("--begin", str(tmp_path / "steps.safetensors"), *usual)
@@ -107,9 +104,7 @@ def test_a_correction_learns_and_is_left_out_where_the_steps_change(
     assert "--begin: expected a model to begin with" in capsys.readouterr().err
 
 
-def test_ends_are_those_of_rollouts_and_kept(
-    dataset: Path, corrected: Simulator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ends_of_rollouts_are_kept(dataset: Path, corrected: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:
     simulator = corrected.float()
     flows = flows_of(dataset, "train", simulator.settings)
     calls: list[int] = []

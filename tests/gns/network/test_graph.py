@@ -18,8 +18,7 @@ def assert_right(positions: Tensor, radius: float, batch: Tensor | None = None) 
     pairs = [np.empty((0, 2), dtype=int)]
     for sample in np.unique(samples):
         (members,) = np.nonzero(samples == sample)
-        tree = cKDTree(points[members])
-        pairs.append(members[tree.query_pairs(radius * (1.0 + 1e-9), output_type="ndarray")])
+        pairs.append(members[cKDTree(points[members]).query_pairs(radius * (1.0 + 1e-9), output_type="ndarray")])
     one_way = np.concatenate(pairs)
     square = sum((points[one_way[:, 0], axis] - points[one_way[:, 1], axis]) ** 2 for axis in range(points.shape[1]))
     one_way = one_way[square <= radius * radius]
@@ -39,8 +38,7 @@ def test_random_clouds_of_separate_samples(count: int, dimension: int) -> None:
     radius = 0.05 if dimension == 2 else 0.1
     assert_right(positions, radius)
     # Sample 2 is empty; the samples overlap and come in any order.
-    batch = torch.tensor([0, 1, 3])[torch.randint(3, (count,), generator=generator)]
-    assert_right(positions, radius, batch)
+    assert_right(positions, radius, torch.tensor([0, 1, 3])[torch.randint(3, (count,), generator=generator)])
 
 
 @pytest.mark.parametrize("share", [1.0, 1.0 / 2.0, 1.0 / 3.0])

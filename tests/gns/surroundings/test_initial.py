@@ -1,7 +1,7 @@
 """What a rollout begins with: conditions of a scene, at any size the same ones, and the scenes that a model refuses."""
 
-import dataclasses
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,8 +52,7 @@ def test_the_conditions_are_those_of_the_scene() -> None:
     torch.testing.assert_close(conditions.baffle_friction, torch.tensor([[0.3, 0.7]]))
     upper = particles.positions[initial.indices, 1] > 0.1
     assert 0 < upper.sum() < len(upper)
-    expected = np.where(upper, np.float32(500.0), np.float32(0.0))
-    np.testing.assert_array_equal(conditions.cohesion.numpy(), expected)
+    np.testing.assert_array_equal(conditions.cohesion.numpy(), np.where(upper, np.float32(500.0), np.float32(0.0)))
     friction = np.tan(np.radians(np.where(upper, 30.0, 35.0)))
     np.testing.assert_allclose(conditions.friction.numpy(), friction, rtol=1e-6)
     assert float(conditions.volume.sum()) == pytest.approx(0.1 * 0.16, rel=1e-5)
@@ -69,8 +68,7 @@ def test_the_conditions_are_those_of_the_scene() -> None:
 
 def test_terrain_is_a_raster_as_fine_as_the_particles() -> None:
     ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.25, 0.0), (0.6, 0.07)), friction=0.5)
-    initial = initial_state(dataclasses.replace(SCENE, baffles=(), solids=(ramp,)), SETTINGS)
-    ground = initial.conditions.ground
+    ground = initial_state(replace(SCENE, baffles=(), solids=(ramp,)), SETTINGS).conditions.ground
     assert (ground.spacing, ground.elevation.shape) == (SETTINGS.cell, (1, 61))
     x = SETTINGS.cell * torch.arange(61)
     torch.testing.assert_close(ground.elevation[0], (0.2 * (x - 0.25)).clamp(min=0.0), atol=1e-6, rtol=0.0)
@@ -100,7 +98,7 @@ def test_a_model_of_bodies_of_one_size_gets_its_units_and_its_spacing() -> None:
     ],
 )
 def test_what_a_model_cannot_know_is_refused(changes: dict[str, Any], settings: ModelSettings, said: str) -> None:
-    refused(initial_state, dataclasses.replace(SCENE, **changes), settings, said=said)
+    refused(initial_state, replace(SCENE, **changes), settings, said=said)
 
 
 LEVEL = scene_of(
@@ -115,11 +113,11 @@ LEVEL = scene_of(
 )
 VARIANTS = {
     "level": LEVEL,
-    "slope": dataclasses.replace(LEVEL, slope_deg=20.0),
-    "baffle": dataclasses.replace(LEVEL, baffles=(Baffle(lower=(0.15, 0.0), size=(0.03, 0.08), friction=0.3),)),
-    "terrain": dataclasses.replace(
+    "slope": replace(LEVEL, slope_deg=20.0),
+    "baffle": replace(LEVEL, baffles=(Baffle(lower=(0.15, 0.0), size=(0.03, 0.08), friction=0.3),)),
+    "terrain": replace(
         LEVEL,
-        masses=tuple(dataclasses.replace(mass, lower=(0.0, mass.lower[1] + 0.1)) for mass in LEVEL.masses),
+        masses=tuple(replace(mass, lower=(0.0, mass.lower[1] + 0.1)) for mass in LEVEL.masses),
         solids=(Solid(kind="terrain", points=((0.0, 0.1), (0.12, 0.1), (0.3, 0.02), (0.6, 0.02)), friction=0.5),),
     ),
 }
@@ -127,12 +125,11 @@ VARIANTS = {
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_a_similar_scene_has_the_scaled_rollout(lively: Simulator, name: str) -> None:
-    lively.settings = dataclasses.replace(lively.settings, body_length=0.13)
+    lively.settings = replace(lively.settings, body_length=0.13)
     scene, length = VARIANTS[name], 36.0
     other = scaled(scene, length, gravity=3.71, density=2600.0)
     flow, larger = (simulate(variant, model=lively) for variant in (scene, other))
-    time = math.sqrt(length * scene.gravity / 3.71)
-    np.testing.assert_allclose(larger.time, time * flow.time, rtol=1e-6)
+    np.testing.assert_allclose(larger.time, math.sqrt(length * scene.gravity / 3.71) * flow.time, rtol=1e-6)
     assert np.abs(flow.positions[-1] - flow.positions[0]).max() > 0.05
     # A ten-thousandth of the body: single precision, carried through twenty steps.
     np.testing.assert_allclose(larger.positions / length, flow.positions, rtol=0.0, atol=1.5e-5)
@@ -143,9 +140,7 @@ def test_a_similar_scene_has_the_scaled_rollout(lively: Simulator, name: str) ->
 @pytest.mark.parametrize("side", [0.07, 0.4])
 def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(duration: float, side: float) -> None:
     settings = ModelSettings(body_length=0.28)
-    scene = dataclasses.replace(
-        LEVEL, masses=(Mass(lower=(0.0, 0.0), size=(side, 0.3)),), duration=duration, gravity=3.71
-    )
+    scene = replace(LEVEL, masses=(Mass(lower=(0.0, 0.0), size=(side, 0.3)),), duration=duration, gravity=3.71)
     units = Units.of_model(scene, settings)
     assert scene.gravity * units.time**2 / units.length == pytest.approx(GRAVITY)
     steps = scene.duration / (units.time * settings.step)
@@ -159,20 +154,22 @@ def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(du
     assert units.stress == pytest.approx(scene.material.density / settings.density * 3.71 / GRAVITY * units.length)
 
 
+DEEP = replace(SETTINGS, dimension=3, cell=0.02, radius=0.05, grid_cell=0.04, body_length=0.252)
+
+
 def test_turbulence_of_the_ground_brakes_as_friction_that_grows_with_the_speed() -> None:
     side = tuple(0.4 * step for step in range(4))
     bed = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.4, 0.4), heights=((0.1,) * 4,) * 4, friction=0.3)
     varied = tuple(tuple(100.0 / (1.0 + x) for _ in side) for x in side)
-    settings = dataclasses.replace(SETTINGS, dimension=3, cell=0.02, radius=0.05, grid_cell=0.04, body_length=0.252)
     mass = Mass(lower=(0.4, 0.1, 0.4), size=(0.4, 0.1, 0.4), velocity=(2.0, 0.0, 0.0))
     scene = scene_of(mass, size=(1.2, 0.4, 1.2), cell=0.02, solids=(bed,), duration=0.1)
     friction = {}
     for name, xi in (("none", None), ("even", 100.0), ("varied", varied)):
-        turbulent = dataclasses.replace(scene, solids=(dataclasses.replace(bed, turbulence=xi),))
+        turbulent = replace(scene, solids=(replace(bed, turbulence=xi),))
         for scale in (1.0, 9.0):
-            initial = initial_state(scaled(turbulent, scale), settings)
+            initial = initial_state(scaled(turbulent, scale), DEEP)
             state, conditions = in_model_units(initial.state, initial.conditions)
-            moment = Moment(state, conditions, settings, NORMALISATION)
+            moment = Moment(state, conditions, DEEP, NORMALISATION)
             friction[name, scale] = moment.solids[:, -1] / (1.0 - moment.solids[:, 6]).clamp(min=1e-6)
     lowest = friction["none", 1.0] > 0.0
     assert 0 < lowest.sum() < len(lowest)
@@ -180,7 +177,7 @@ def test_turbulence_of_the_ground_brakes_as_friction_that_grows_with_the_speed()
     # The column of 0.1 m has, on nodes of the grid, about its height and a cell more for the particle.
     drag = (friction["even", 1.0] - 0.3)[lowest]
     assert float(drag.median()) == pytest.approx(2.0**2 / (100.0 * (0.1 + 0.02)), rel=0.2)
-    x = initial_state(scene, settings).state.positions[lowest, 0]
+    x = initial_state(scene, DEEP).state.positions[lowest, 0]
     torch.testing.assert_close((friction["varied", 1.0] - 0.3)[lowest], drag * (1.0 + x), rtol=1e-3, atol=0.0)
     # A flow of any size is braked alike.
     torch.testing.assert_close(friction["even", 9.0], friction["even", 1.0], rtol=1e-3, atol=1e-4)
@@ -191,18 +188,17 @@ def test_a_layer_on_a_slope_rubs_along_it_with_the_friction_of_the_ground(bed: f
     slope = 0.5
     heights = tuple((0.7 - slope * 0.4 * row,) * 4 for row in range(4))
     ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.4, 0.4), heights=heights, friction=bed)
-    settings = dataclasses.replace(SETTINGS, dimension=3, cell=0.02, radius=0.05, grid_cell=0.04, body_length=0.252)
     mass = Mass(lower=(0.4, 0.55, 0.4), size=(0.4, 0.1, 0.4), velocity=(2.0, 0.0, 0.5))
     material = Material(friction_deg=35.0)
     # The floor of the box lies below the ground: its friction does not count.
     scene = scene_of(
         mass, size=(1.2, 1.0, 1.2), cell=0.02, material=material, solids=(ground,), floor_friction=0.05, duration=0.1
     )
-    initial = initial_state(scene, settings)
+    initial = initial_state(scene, DEEP)
     state, conditions = in_model_units(initial.state, initial.conditions)
-    basal = Moment(state, conditions, settings, NORMALISATION).basal
+    basal = Moment(state, conditions, DEEP, NORMALISATION).basal
     normal = torch.tensor((slope, 1.0, 0.0)) / math.hypot(slope, 1.0)
-    velocity = torch.tensor((2.0, 0.0, 0.5)) + torch.tensor((0.0, -GRAVITY * settings.step, 0.0))
+    velocity = torch.tensor((2.0, 0.0, 0.5)) + torch.tensor((0.0, -GRAVITY * DEEP.step, 0.0))
     along = velocity - (velocity @ normal) * normal
     friction = -expected * normal[1] * along / along.norm()
     torch.testing.assert_close(basal, friction.expand_as(basal), rtol=0.02, atol=1e-3)

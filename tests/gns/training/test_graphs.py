@@ -1,6 +1,6 @@
 """Samples as graphs of PyTorch Geometric: what Talus's own network is given, and the acceleration that is right."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +18,12 @@ from tests.refusals import refused
 
 
 def test_graphs_hold_the_steps_of_all_flows(dataset: Path, settings: ModelSettings, lively: Simulator) -> None:
-    settings = dataclasses.replace(settings, rest_speed=0.0)
+    settings = replace(settings, rest_speed=0.0)
     graphs, flows = graphs_of(dataset, settings), flows_of(dataset, "train", settings)
     assert len(graphs) == sum(len(flow.positions) - 1 for flow in flows) == 100
     for number, (flow, now) in {0: (0, 0), 24: (0, 24), 25: (1, 0), 61: (2, 11), 99: (3, 24)}.items():
         graph = graphs[number]
-        rng = np.random.default_rng(number)
-        sample = stretch(flows[flow], settings, now=now, steps=1, rng=rng)
+        sample = stretch(flows[flow], settings, now=now, steps=1, rng=np.random.default_rng(number))
         inputs = Inputs.of_moment(Moment(sample.state, sample.conditions, settings, graphs.normalisation))
         assert torch.equal(graph.x, inputs.features)
         assert torch.equal(graph.edge_index, inputs.graph.edge_index)
@@ -33,8 +32,8 @@ def test_graphs_hold_the_steps_of_all_flows(dataset: Path, settings: ModelSettin
         torch.testing.assert_close(graph.edge_attr[:, :2], offset, atol=1e-5, rtol=0.0)
         torch.testing.assert_close(graph.edge_attr[:, 2], offset.norm(dim=1), atol=1e-5, rtol=0.0)
         # With its acceleration a step leads to the target.
-        change = graphs.normalisation.acceleration_scale * graph.y
-        after = advanced(sample.state, sample.conditions, change, settings)
+        scale = graphs.normalisation.acceleration_scale
+        after = advanced(sample.state, sample.conditions, scale * graph.y, settings)
         torch.testing.assert_close(after.positions, sample.targets[0], atol=1e-6, rtol=0.0)
     assert torch.equal(graphs[-1].y, graphs[99].y)
     with pytest.raises(IndexError):
@@ -53,14 +52,13 @@ def test_a_loader_puts_graphs_side_by_side(dataset: Path, settings: ModelSetting
 
 
 def test_from_a_disturbed_state_the_acceleration_leads_to_the_target(dataset: Path, settings: ModelSettings) -> None:
-    settings = dataclasses.replace(settings, rest_speed=0.0)
+    settings = replace(settings, rest_speed=0.0)
     torch.manual_seed(0)
     clean, noisy = graphs_of(dataset, settings), graphs_of(dataset, settings, noise=0.5)
     scale, moved, past = clean.normalisation.displacement_scale, [], []
-    columns = slice(4, 6)
     for number in range(5, 20):
         pure, graph = clean[number], noisy[number]
-        walk = scale * (graph.x - pure.x)[:, columns]
+        walk = scale * (graph.x - pure.x)[:, 4:6]
         # x + v + a is the same place, for the noise in all of them.
         change = clean.normalisation.acceleration_scale * (graph.y - pure.y) + walk + graph.pos - pure.pos
         torch.testing.assert_close(change, torch.zeros_like(change), atol=1e-6, rtol=0.0)

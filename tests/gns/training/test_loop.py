@@ -1,9 +1,9 @@
 """A training learns, keeps as much as fits, goes on where it was, stops when asked, and names mistakes in a line."""
 
-import dataclasses
 import itertools
 import math
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -121,8 +121,7 @@ def test_a_gradient_that_is_not_finite_ends_the_run_and_leaves_an_older_file(
     assert run(dataset, tmp_path, "--updates", "3", "--resume") == 1
     assert "the gradient of update 3 is not finite; last.pt is older and whole" in capsys.readouterr().err
     assert (tmp_path / LAST).read_bytes() == before
-    model_card = card.read(tmp_path / "best.safetensors")
-    assert model_card.training.updates == 2
+    assert card.read(tmp_path / "best.safetensors").training.updates == 2
 
 
 def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -178,9 +177,8 @@ def test_validations_take_their_share_of_the_minutes(cost: float, count: int) ->
     assert len(position.validated) == count
     assert count == 2 or sum(position.validated) <= 0.15 * 240.0
     # With a number of updates their times do not depend on the machine.
-    counted = dataclasses.replace(training, updates=24)
     later = Position(seconds=60.0, updates=4, scored=(30.0, 2), validated=[1e3])
-    assert later.due(counted)
+    assert later.due(replace(training, updates=24))
     assert not later.due(training)
 
 
@@ -193,9 +191,9 @@ def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path)
         ("terrain", {"solids": (ramp,)}),
         ("wide", {"domain": Domain(size=(0.8, 0.4), cell=0.01)}),
     ):
-        scene = dataclasses.replace(column.scene, **change)
         for split in ("train", "valid"):
-            dataclasses.replace(column, scene=scene).save(tmp_path / "data" / split / f"{name}.npz")
+            flow = replace(column, scene=replace(column.scene, **change))
+            flow.save(tmp_path / "data" / split / f"{name}.npz")
     flags = [*TINY, "--updates", "2", "--batch", "4", "--shares", "3", "--shares", "1"]
     flags[flags.index("--validate-flows") + 1] = "4"
     both = [str(tmp_path / "data"), str(dataset), "--out", str(tmp_path / "out"), *flags]

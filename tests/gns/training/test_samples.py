@@ -1,10 +1,10 @@
 """Samples: flows at a model's step, stretches in all their symmetries, alone, side by side, in two processes."""
 
-import dataclasses
 import os
 import socket
 import subprocess
 import sys
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +48,7 @@ def test_a_flow_takes_every_so_many_frames(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("body_length", [None, 0.1])
-def test_training_and_rollout_give_the_network_the_same_numbers(
-    body_length: float | None, simulator: Simulator, tmp_path: Path
-) -> None:
+def test_training_sees_what_a_rollout_does(body_length: float | None, simulator: Simulator, tmp_path: Path) -> None:
     """Of masses whose cohesion grows with depth and whose friction varies, over terrain and before a baffle."""
     clay = Material(friction_deg=25.0, cohesion=200.0, strength_gradient=3.0e3)
     ramp = Solid(kind="terrain", points=((0.0, 0.1), (0.4, 0.0), (0.6, 0.0)), friction=0.5)
@@ -60,7 +58,7 @@ def test_training_and_rollout_give_the_network_the_same_numbers(
     )
     scene = scene_of(
         Mass(kind="layer", thickness=0.06, outline=((0.0,), (0.2,))),
-        Mass(lower=(0.24, 0.12), size=(0.1, 0.1), material=dataclasses.replace(clay, strength_gradient=0.0)),
+        Mass(lower=(0.24, 0.12), size=(0.1, 0.1), material=replace(clay, strength_gradient=0.0)),
         size=(0.6, 0.4),
         cell=0.01,
         material=clay,
@@ -72,9 +70,9 @@ def test_training_and_rollout_give_the_network_the_same_numbers(
         wall_friction=0.2,
         damping=0.1,
     )
-    settings = simulator.settings = dataclasses.replace(simulator.settings, body_length=body_length)
+    settings = simulator.settings = replace(simulator.settings, body_length=body_length)
     units = Units.of_model(scene, settings)
-    scene = dataclasses.replace(scene, frame_dt=units.time * settings.step)
+    scene = replace(scene, frame_dt=units.time * settings.step)
     particles, frames = initial_particles(scene), scene.frames
     start = np.repeat(particles.positions[None], frames, axis=0)
     velocity0 = particles.velocities.astype(np.float32)
@@ -98,10 +96,8 @@ def test_training_and_rollout_give_the_network_the_same_numbers(
 
 
 @pytest.mark.parametrize(("now", "given"), [(0, []), (2, [0, 1, 2]), (6, [3, 4, 5, 6])])
-def test_a_stretch_gives_the_past_that_there_is(
-    flows: Flows, settings: ModelSettings, now: int, given: list[int]
-) -> None:
-    flow, every = flows[0], dataclasses.replace(settings, particles_per_cell=4)
+def test_a_stretch_gives_the_known_past(flows: Flows, settings: ModelSettings, now: int, given: list[int]) -> None:
+    flow, every = flows[0], replace(settings, particles_per_cell=4)
     sample = stretch(flow, every, now=now, steps=3, rng=np.random.default_rng(0))
     state, past = sample.state, np.diff(flow.positions[given], axis=0)
     assert np.array_equal(state.positions, flow.positions[now])
@@ -135,7 +131,7 @@ def after(simulator: Simulator, some: list[SampleBatch]) -> torch.Tensor:
 def test_baffles_and_ground_of_one_sample_have_no_effect_on_another(lively: Simulator, flows: Flows) -> None:
     first = stretch(flows[0], lively.settings, now=5, steps=2, rng=np.random.default_rng(0))
     rougher = 0.1 + first.conditions.friction
-    second = dataclasses.replace(first, conditions=dataclasses.replace(first.conditions, friction=rougher))
+    second = replace(first, conditions=replace(first.conditions, friction=rougher))
     ground = torch.linspace(0.05, 0.0, 61)[None]
     around = {
         "baffles": torch.tensor([[[[0.15, 0.0], [0.2, 0.1]]]]),
@@ -143,7 +139,7 @@ def test_baffles_and_ground_of_one_sample_have_no_effect_on_another(lively: Simu
         "baffle_turn": torch.tensor([[0.4]]),
         "ground": Ground(elevation=ground, friction=torch.full_like(ground, 0.3), spacing=lively.settings.cell),
     }
-    rough = dataclasses.replace(second, conditions=dataclasses.replace(second.conditions, **around))
+    rough = replace(second, conditions=replace(second.conditions, **around))
     alone = [after(lively, [sample]) for sample in (first, rough)]
     assert (alone[1] - after(lively, [second])).abs().max() > 1e-3
     torch.testing.assert_close(after(lively, [first, rough]), torch.cat(alone), atol=1e-6, rtol=0.0)
@@ -156,15 +152,14 @@ def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSetting
     assert {int(sample.state.displacements.any(dim=2).any(dim=1).sum()) for sample in drawn} == {0, 1, 2, 3}
     assert all(len(sample.targets) == 4 for sample in drawn)
     # The columns lean on the left wall; mirrored ones on the right.
-    mirrored = {bool(sample.state.positions[:, 0].mean() > 0.3) for sample in drawn}
-    assert mirrored == {False, True}
+    assert {bool(sample.state.positions[:, 0].mean() > 0.3) for sample in drawn} == {False, True}
     for sample in drawn:
         assert sample.conditions.volume.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
 
 
 def test_a_batch_joins_domains_and_datasets_have_their_shares(flows: Flows, settings: ModelSettings) -> None:
     size = torch.tensor([[1.2, 0.4]])
-    wide = [dataclasses.replace(flow, conditions=dataclasses.replace(flow.conditions, size=size)) for flow in flows]
+    wide = [replace(flow, conditions=replace(flow.conditions, size=size)) for flow in flows]
     training = TrainingSettings(batch=2, shares=(1.0, 3.0))
     sampler, rng = Sampler([flows, wide], settings, training), np.random.default_rng(0)
     sizes = torch.cat([sampler.batch(1, rng).conditions.size for _ in range(100)])
@@ -180,10 +175,8 @@ def test_statistics_leave_gravity_out(flows: Flows, along: float) -> None:
     corner = np.stack((0.1 * np.arange(5), np.full(5, 0.9)), axis=1)
     falling = (corner + 0.5 * time[:, None, None] ** 2 * gravity).astype(np.float32)
     changes = {"gravity": torch.from_numpy(gravity)[None], "friction": torch.ones(5)}
-    conditions = dataclasses.replace(flows[0].conditions, **changes)
-    flow = dataclasses.replace(
-        flows[0], positions=falling, velocity0=np.zeros((5, 2), np.float32), conditions=conditions
-    )
+    conditions = replace(flows[0].conditions, **changes)
+    flow = replace(flows[0], positions=falling, velocity0=np.zeros((5, 2), np.float32), conditions=conditions)
     normalisation, _ = statistics([[flow]])
     assert normalisation.acceleration_scale < 1e-6
     assert normalisation.friction_mean == pytest.approx(1.0)
@@ -194,10 +187,9 @@ def test_a_training_begins_with_the_mean_upward_acceleration(flows: Flows, setti
     resting = np.tile(flows[0].positions[0], (6, 1, 1))
     # Every second displacement is gone, so that the flow counts as moving; without gravity's it is held all the same.
     resting[1::2, :, 0] += 1.0e-3 * flows[0].units.length
-    flow = dataclasses.replace(flows[0], positions=resting, velocity0=np.zeros_like(flows[0].velocity0))
+    flow = replace(flows[0], positions=resting, velocity0=np.zeros_like(flows[0].velocity0))
     normalisation, upward = statistics([[flow]])
-    held = 9.81 * flow.step**2 / flow.units.length
-    assert upward * normalisation.acceleration_scale == pytest.approx(held, rel=1e-3)
+    assert upward * normalisation.acceleration_scale == pytest.approx(9.81 * flow.step**2 / flow.units.length, rel=1e-3)
     bias = list(untrained(settings, [[flow]]).network.decoder.parameters())[-1]
     assert bias[:2].tolist() == pytest.approx([0.0, upward])
 
@@ -225,7 +217,7 @@ def deep() -> SampleBatch:
     ground = Ground(elevation=some(1, 9, 9), friction=some(1, 9, 9), spacing=0.1, drag=some(1, 9, 9))
     return SampleBatch(
         state=State(positions=some(7, 3), displacements=some(3, 7, 3)),
-        conditions=dataclasses.replace(conditions_of(scene, 0.1, **per_particle, units=Units()), ground=ground),
+        conditions=replace(conditions_of(scene, 0.1, **per_particle, units=Units()), ground=ground),
         targets=some(2, 7, 3),
     )
 
@@ -233,11 +225,11 @@ def deep() -> SampleBatch:
 def tensors(value: Any) -> dict[str, torch.Tensor]:
     """All tensors of a record, by name."""
     by_name = {}
-    for field in dataclasses.fields(value):
+    for field in fields(value):
         member = getattr(value, field.name)
         if isinstance(member, torch.Tensor):
             by_name[field.name] = member
-        elif dataclasses.is_dataclass(member):
+        elif is_dataclass(member):
             by_name |= {f"{field.name}.{name}": part for name, part in tensors(member).items()}
     return by_name
 
@@ -294,8 +286,7 @@ def gradients(simulator: Simulator, samples: list[SampleBatch]) -> dict[str, tor
 
 def work(number: int, port: str, simulator: Simulator, parts: list[list[SampleBatch]], out: Path) -> None:
     """One of two processes."""
-    common = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2"}
-    os.environ.update(common | {"RANK": str(number)})
+    os.environ.update(MASTER_ADDR="127.0.0.1", MASTER_PORT=port, WORLD_SIZE="2", RANK=str(number))
     with joined("cpu"):
         torch.save(gradients(simulator, parts[rank()]), out / f"{rank()}.pt")
 
@@ -305,9 +296,7 @@ def test_two_processes_give_the_mean_of_their_gradients(
 ) -> None:
     simulator, rng = lively.double(), np.random.default_rng(0)
     flows = flows_of(dataset, "train", settings)
-    samples = [
-        stretch(flow, settings, now=now, steps=STEPS, rng=rng) for flow, now in zip(flows, (0, 5, 9), strict=False)
-    ]
+    samples = [stretch(flow, settings, now=t, steps=STEPS, rng=rng) for flow, t in zip(flows, (0, 5, 9), strict=False)]
     parts = [samples[:2], samples[2:]]
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
