@@ -5,6 +5,7 @@ A command is a function. `python -m MODULE` runs that of its module; `talus NAME
 
 import errno
 import os
+import shlex
 import signal
 import sys
 import warnings
@@ -25,6 +26,14 @@ DISK_ERRORS = {"ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "EPERM", "EIO", "
 """What a disk says that is full, read-only or broken: no mistake of the program's."""
 
 
+_running: list[str] = []  # command lines, of which one that another calls is the last
+
+
+def invocation() -> str:
+    """The command line that runs, as a shell takes it; empty in a script of one's own."""
+    return _running[-1] if _running else ""
+
+
 def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[str] | None = None) -> int:
     """Run a command, or that of a table which is named first, with the flags on the command line. Prints the text that
     it returns. No traceback for a user's mistake, nor for a failing disk. Returns its exit status: 0 done, 1 the work
@@ -32,6 +41,7 @@ def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[s
     from cyclopts import CycloptsError  # whoever needs an exception alone waits for no parser of flags
 
     given = sys.argv[1:] if arguments is None else list(arguments)
+    _running.append(" ".join([name, shlex.join(given)]))
     python_format = warnings.formatwarning
     # What a warning says, without the place in the program that says it.
     warnings.formatwarning = lambda message, *_, **__: f"talus: {message}\n"
@@ -65,6 +75,7 @@ def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[s
         return 128 + (signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
     finally:
         warnings.formatwarning = python_format
+        _running.pop()
     return result if isinstance(result, int) else 0
 
 

@@ -89,8 +89,6 @@ class Problem(ProblemKeys):
 
     name: str
     """Stem of its file."""
-    asked: str = ""
-    """Its path or name as it was asked for; `name` where absent."""
     folder: Path = Path()
     """Relative paths in it start here."""
     scene: Scene
@@ -314,7 +312,7 @@ def read_problem(name: str | Path) -> Problem:
         file = from_mapping(_File, data)
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         scene = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
-        keys = vars(file) | {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
+        keys = vars(file) | {"name": path.stem, "folder": path.parent, "scene": scene}
         if scene.domain.origin is None:
             return likely(Problem(parameters=keys.pop("unknowns"), **keys))
         keys["observations"] = tuple(settings.in_box(scene.domain.corner) for settings in file.observations)

@@ -31,11 +31,10 @@ LARGER, FINEST = 1.5, 8.0
 def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
     """The report that lies in `folder`; pictures: names of the files beside it."""
     parts = [f"# {result.problem.name}: {result.verdict}", "\n".join(f"- {line}" for line in conclusion(result))]
-    place, asked = shlex.quote(str(folder)), shlex.quote(result.problem.asked or result.problem.name)
-    command = f"`{result.command} {asked} --out {place}`"
+    made = [f"`{result.command}`"] if result.command else []
     if any(run.file for run in result.mpm_runs):
-        command += f"; in a browser: `python -m validation.view {place}`"
-    parts += [command, question(result)]
+        made.append(f"In a browser: `python -m validation.view {shlex.quote(str(folder))}`")
+    parts += ["; ".join(made), question(result)]
 
     def shown(name: str, text: str) -> str:
         return f"![{text}]({name})" if name in pictures else ""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.command_line import invocation
 from datasets.scene import Scene
 from datasets.scene.particles import particle_volumes
 from datasets.schema import changed
@@ -60,8 +61,8 @@ class Result:
     """[s], of each part of the work, and `total`."""
     record: dict[str, Any] = field(default_factory=dict)
     """Further keys of `result.json`."""
-    command: str = "python -m inverse"
-    """That made it, as the report names it."""
+    command: str = field(default_factory=invocation)
+    """The command line that made it; empty where none did."""
 
     @property
     def answer(self) -> Vector:

@@ -31,7 +31,8 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
     from mpm import LAST, simulate
     from validation.loop.solve import print_outcome, solve
 
-    stream = np.random.default_rng(secrets.randbits(64) if seed is None else seed)
+    seed = secrets.randbits(32) if seed is None else seed
+    stream = np.random.default_rng(seed)
     truth_deg, jitter = float(stream.uniform(*ANGLES_DEG)), int(stream.integers(1, 2**31))
     stated = read_problem("friction-tall-42")
     scene = replace(stated.scene.with_friction_deg(truth_deg), seed=jitter)
@@ -45,7 +46,6 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
     problem = replace(
         stated,
         name="demo",
-        asked="demo",
         scene=stated.scene.with_friction_deg(parameter.start),
         observations=(FrontSettings(value=front),),
         target=TargetSettings(),
@@ -54,7 +54,8 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
     result = solve(problem, out, model=model)
 
     target = replace(result.target, deposit=flow.positions[-1], truth={parameter.name: truth_deg})
-    result = replace(result, target=target)
+    drawn = "" if "--seed" in result.command or not result.command else f" --seed {seed}"
+    result = replace(result, target=target, command=result.command + drawn)
     save(result, out)
     print_outcome(result, out)
 

@@ -11,7 +11,6 @@ their gradients, which `DistributedDataParallel` takes where a model is called a
 import io
 import math
 import os
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -29,6 +28,7 @@ from torch.optim.swa_utils import AveragedModel
 from tqdm import tqdm
 
 from datasets import files
+from datasets.command_line import invocation
 from datasets.errors import InputError, WorkFailed, require
 from datasets.files import reading
 from datasets.flow.measures import amounts
@@ -122,7 +122,7 @@ def fit(
         run = TrainingRun(simulator.to(where), flows, training, out, seed)
         if resume:
             run.restore()
-        provenance = {"command": " ".join([command, *sys.argv[1:]]), "seed": seed, "begin": begin and begin.provenance}
+        provenance = {"command": invocation() or command, "seed": seed, "begin": begin and begin.provenance}
         provenance |= {"datasets": [str(path) for path in datasets], "training": asdict(training)}
         position, bar = run.position, stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not first))
         stop = stack.enter_context(stopping())

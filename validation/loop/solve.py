@@ -137,7 +137,6 @@ def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -
             "processors": time.process_time() - used,
         },
         record=coarse,
-        command="python -m validation.loop",
     )
 
 
