@@ -11,6 +11,7 @@ box alone.
 import dataclasses
 import math
 import time
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -118,7 +119,8 @@ def adapt(
 
 def identity(problem: Problem) -> dict[str, Any]:
     """What the flows of two problems have in common if they are the same: unknowns, and the scene but for these."""
-    return {"unknowns": problem.names, "scene": problem.scene_at(problem.initial, 0).to_json()}
+    middle = problem.box.at(np.full(len(problem.names), 0.5))
+    return {"unknowns": problem.names, "scene": problem.scene_at(middle, 0).to_json()}
 
 
 def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: int) -> Definition:
@@ -167,7 +169,9 @@ def deposits(model: Path | str, problem: Problem) -> list[tuple[Vector, Trajecto
     model: its folder or its file. None where it was adapted to another problem. Raises InputError for a broken file.
     """
     run = Path(model) if Path(model).is_dir() else Path(model).parent
-    if read_json(run / PROBLEM) != identity(problem):
+    if (recorded := read_json(run / PROBLEM)) != identity(problem):
+        if recorded is not None:
+            warnings.warn(f"{run}: its runs of the MPM are of another problem, and are not used", stacklevel=2)
         return []
     flows = [Trajectory.load(path) for path in trajectory_files(run / DATA / DEPOSITS)]
     return [(np.array([kind.read(flow.scene) for kind in problem.kinds]), flow) for flow in flows]

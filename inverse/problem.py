@@ -19,6 +19,7 @@ from datasets.scene.library import find, read_scene
 from datasets.scene.particles import released_volume
 from datasets.schema import Record, from_mapping, one_of
 from inverse.observations import KINDS, Observation, ObservationSettings
+from inverse.observations.errors import Student
 from inverse.observations.settings import FILES
 from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, check_parameters, check_scene, with_kinds, with_parameters
@@ -287,7 +288,10 @@ class Problem(ProblemKeys):
         require(not self.correlations, "correlations", "none beside a field", "some")
         released = any(unknown.settings.quantity == THICKNESS for unknown in self.fields)
         for index, observation in enumerate(self.observations):
-            operator = observation.operator_type
+            operator, noise = observation.operator_type, observation.noise
+            require(
+                not isinstance(noise, Student), f"observations[{index}].noise", "a normal noise beside a field", noise
+            )
             weighed = not released or operator.dense
             expected = "an observation by the volumes of a run itself (thickness, outline) beside an unknown thickness"
             require(weighed, f"observations[{index}].kind", expected, observation.kind)
@@ -315,7 +319,11 @@ def read_problem(name: str | Path) -> Problem:
         keys = vars(file) | {"name": path.stem, "folder": path.parent, "scene": scene}
         if scene.domain.origin is None:
             return likely(Problem(parameters=keys.pop("unknowns"), **keys))
-        keys["observations"] = tuple(settings.in_box(scene.domain.corner) for settings in file.observations)
+        moved = []
+        for index, settings in enumerate(file.observations):
+            with keyed(f"observations[{index}]"):
+                moved.append(settings.in_box(scene.domain.corner))
+        keys["observations"] = tuple(moved)
         try:
             return likely(Problem(parameters=keys.pop("unknowns"), **keys))
         except InputError as error:

@@ -266,7 +266,10 @@ def data_that_matter(result: Result) -> str:
             width, share = widths[number.name], widths[number.name] / max(whole[number.name], 1e-300)
             row[f"± `{number.name}` (95 %)"] = f"{number.kind.text(width)} ({share:.2g} times)"
         rows.append(row)
-    said = "Half-widths without each observation, from the runs that there are, by an emulator of the whole box."
+    said = "Half-widths without each observation, from the same runs, by an emulator of the whole box."
+    fit = result.answers[0].fit
+    if fit is not None and fit.applied > 1.0:
+        said += f" Every row keeps the factor {fit.applied:.2g} by which all data together misfit."
     return f"{said}\n\n{markdown_table(rows)}"
 
 

@@ -86,9 +86,7 @@ def unmeasured(posterior: Posterior, points: Matrix) -> Values:
     reduction, (_, variance) = posterior.reduction, posterior.emulator.predict(points)
     inside = posterior.unmeasured + np.diag(variance.mean(axis=0)) + np.cov(posterior.emulator.mean(points).T)
     within = np.einsum("ir,rs,is->i", reduction.basis, inside, reduction.basis)
-    # Across the components it is scatter alone.
-    across = (1.0 - (reduction.basis**2).sum(axis=1)) * (1.0 - (posterior.deviation * reduction.weights) ** 2)
-    return np.asarray(np.maximum(within + across, 0.0) / reduction.weights**2)
+    return np.asarray(within / reduction.weights**2 + reduction.remainder**2)
 
 
 def outlying(fits: Sequence[Residuals]) -> str:

@@ -47,11 +47,14 @@ class ObservationSettings(Record):
     def in_box(self, corner: Floats, keys: Sequence[str] | None = None) -> Self:
         """With places from the box's lower corner, in place of a map's on which that is `corner` [m], shape [D].
 
-        keys: those that are on the map; all where absent.
+        keys: those that are on the map; all where absent. Raises InputError, which names the key.
         """
         moved: dict[str, Any] = {}
         for key, axis in self.places.items():
             if (given := getattr(self, key)) is not None and (keys is None or key in keys):
+                size = len(corner)
+                fits = axis < size if axis is not None else np.shape(given) == (size,)
+                require(fits, key, f"{size} coordinates" if axis is None else f"none in {size}D", given)
                 places = np.subtract(given, corner if axis is None else corner[axis]).tolist()
                 moved[key] = places if isinstance(places, float) else tuple(places)
         return replace(self, **moved)

@@ -72,7 +72,11 @@ class Kind:
         return self.input is not None or self.changes_volume
 
     def text(self, value: float) -> str:
-        return f"{value:z.{self.digits}f} {self.unit}".removesuffix(" -")
+        return f"{self.digit_text(value)} {self.unit}".removesuffix(" -")
+
+    def digit_text(self, value: float) -> str:
+        """Without its unit: with `digits` decimals, or three figures where these would leave fewer than two."""
+        return f"{value:.3g}" if 0.0 < abs(value) < 10.0 ** (1 - self.digits) else f"{value:z.{self.digits}f}"
 
     def check(self, scene: Scene) -> None:
         """Raise InputError where `scene` has no such number."""

@@ -21,7 +21,7 @@ STEEP = 3.0  # standard errors from which on a slope is one
 SMALL = 0.1  # root mean square of a direction besides the parameters' own, over scatter and noise, that is left out
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Reduction:
     """From M numbers to r components."""
 
@@ -37,6 +37,8 @@ class Reduction:
     """Of the runs that it is of, each by the directions of the others, shape [n, r]."""
     noise: Matrix
     """Covariance of the components by errors of the measurement, shape [r, r]."""
+    remainder: Row
+    """Standard deviation of each number over the runs, of what is across the components, shape [M]."""
 
     def __call__(self, numbers: Matrix) -> Matrix:
         """Components [..., r] of numbers [..., M]."""
@@ -68,9 +70,8 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
     # Between errors of single numbers and one of all together, of M^(1/2) times the effect.
     expected = np.maximum(np.sqrt((scaled**2).T @ scatter**2) * len(scatter) ** 0.25, 1e-12)
     noise = target.errors.combined(scaled)
-    return Reduction(
-        mean=mean, weights=weights, basis=basis, components=components, expected_scatter=expected, noise=noise
-    )
+    rest = np.sqrt(((weighted - (weighted @ basis) @ basis.T) ** 2).mean(axis=0)) / weights
+    return Reduction(mean, weights, basis, expected, components, noise, rest)
 
 
 def cross_fitted(weighted: Matrix, points: Matrix, first: Matrix) -> Matrix:

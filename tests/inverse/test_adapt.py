@@ -98,8 +98,10 @@ def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, weights: 
         assert len(flow.time) == 1
         assert flow.time[0] == pytest.approx(problem.scene.duration)
         np.testing.assert_allclose(values, [kind.read(flow.scene) for kind in problem.kinds])
+    assert deposits(adapted, replace(problem, parameters=(replace(problem.parameters[0], initial=31.0),)))
     other = problem_of(2, "cohesion")
-    assert deposits(adapted, other) == []
+    with pytest.warns(UserWarning, match="its runs of the MPM are of another problem, and are not used"):
+        assert deposits(adapted, other) == []
     said = "expected a new folder, or one of small on the same cells, it is of another"
     refused(adapt, other, adapted, runs=7, model=weights, said=said)
 

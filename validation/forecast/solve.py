@@ -77,6 +77,7 @@ def known_of(result: Path, scene: Scene) -> tuple[list[str], Floats, list[str]]:
     remarks, kept = [], []
     for index, name in enumerate(names):
         try:
+            require(name != "time_offset", "", "a number of a scene", "the clock of the observations")
             names[index] = in_scene(name, record.get("solids", []), scene)
             kind(names[index]).check(scene)
         except InputError as error:

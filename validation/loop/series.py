@@ -5,6 +5,7 @@ those of the deposits before, are known to the emulator of each further one, whi
 checks. Each deposit's own runs have jitter seeds of their own.
 """
 
+import hashlib
 import itertools
 import json
 import sys
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError, naming
-from datasets.files import make_folder, write_csv, write_json, write_text
+from datasets.files import make_folder, read_json, write_csv, write_json, write_text
 from datasets.flow.trajectory import SUFFIXES, Trajectory
 from datasets.markdown import markdown_table
 from inverse.answer import Verdict
@@ -30,7 +31,7 @@ from inverse.target import read_target
 from mpm import simulate, simulate_many
 from validation.loop.solve import Known, solve
 
-RESULT = "result.json"
+RESULT, SERIES = "result.json", "series.json"
 ENDS = (" from", " to")  # what follows the name of an unknown, of the columns of its interval
 
 
@@ -49,28 +50,36 @@ def solve_series(
 
     targets: trajectories as `mpm.run` leaves them, or CSV files of the problem's one observation; model: that of
     `inverse.adapt`, by which its runs of the MPM are known, or another one. Leaves `out`/NAME for each deposit as
-    `validation.solve`, `series.csv`, `series.json` and `report.md`; what is there is not done again. Raises InputError,
-    which names the file, before any work.
+    `validation.solve`, `series.csv`, `series.json` and `report.md`; what is there of the same problem and deposit
+    is not done again. Raises InputError, which names the file, before any work.
     """
     asked, out = problem if isinstance(problem, Problem) else read_problem(problem), Path(out)
     deposits = read_deposits(asked, Path(targets))
     make_folder(out)
-    runs, rows = list[Known](), list[dict[str, Any]]()
+    solved = (read_json(out / SERIES) or {}).get("digests", {})
+    runs, rows, digests = list[Known](), list[dict[str, Any]](), dict[str, str]()
     for number, (name, deposit) in enumerate(deposits.items(), 1):
         folder = out / name
-        if not (folder / RESULT).exists():
+        digests[name] = digest(asked, deposit)
+        if not (folder / RESULT).exists() or solved.get(name) != digests[name]:
             print(f"{name}, {number} of {len(deposits)}", file=sys.stderr)
             solve(deposit, folder, model=model, simulate=simulate, known=runs)
         result = json.loads((folder / RESULT).read_text())
         rows.append(row(name, result))
         # On the cells of the problem.
         runs += [
-            (np.array(list(run["unknowns"].values())), Trajectory.load(folder / run["file"]))
+            (np.array([run["unknowns"][key] for key in asked.names]), Trajectory.load(folder / run["file"]))
             for run in result["mpm_runs"]
             if run["purpose"] != "cells"
         ]
-        write(out, asked, rows, len(deposits))
+        write(out, asked, rows, len(deposits), digests)
     return rows
+
+
+def digest(problem: Problem, deposit: Problem) -> str:
+    """Of a problem and the file of a deposit: another one where either has changed."""
+    path = deposit.target.trajectory or vars(deposit.observations[0])["csv"]
+    return hashlib.sha256(repr(problem).encode() + Path(path).read_bytes()).hexdigest()
 
 
 def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
@@ -115,13 +124,17 @@ def row(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     return {"deposit": name, **unknowns, "verdict": result["verdict"], "answers": len(result["answers"]), **cost}
 
 
-def write(out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count: int) -> None:
-    """Write the table of the deposits so far, of `count`."""
+def write(
+    out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count: int, digests: Mapping[str, str]
+) -> None:
+    """Write the table of the deposits so far, of `count`, and what they are of."""
     write_csv(out / "series.csv", [*rows[0]], ([*line.values()] for line in rows))
-    write_json(out / "series.json", {"problem": problem.name, "deposits": rows})
-    digits = {number.name + end: number.kind.digits for number in problem.numbers for end in ("", *ENDS)}
-    forms = [f".{digits.get(key, 1)}f" for key in rows[0]]
-    text = markdown_table(rows, style="github", floatfmt=forms, disable_numparse=[0])
+    write_json(out / SERIES, {"problem": problem.name, "deposits": rows, "digests": digests})
+    kinds = {number.name + end: number.kind for number in problem.numbers for end in ("", *ENDS)}
+    shown = [
+        {key: kinds[key].digit_text(value) if key in kinds else value for key, value in line.items()} for line in rows
+    ]
+    text = markdown_table(shown, style="github", floatfmt=".1f", disable_numparse=[0])
     write_text(out / "report.md", f"# {problem.name}: a series\n\n{summary(rows, count)}\n\n{text}\n")
 
 
