@@ -32,31 +32,20 @@ from mpm.resolution import particle_steps
 from mpm.runtime import Arch
 from mpm.solids.obstacles import farthest, window_around
 
-PROCESS = 240 * 2**20
-"""Bytes of a process with Taichi and a kernel."""
-BESIDE = 2.5
-"""Peak over the bytes of the particles and their state."""
-STRESS = 4096
-"""Bytes that an equilibrium of a mass at the start takes per particle: a factorisation."""
-MOST_STEPS = 2**31 - 1
-"""A counter's limit; at a million particle-steps a second one particle would take half an hour."""
+PROCESS = 240 * 2**20  # bytes of a process with Taichi and a kernel
+BESIDE = 2.5  # peak over the bytes of the particles and their state
+STRESS = 4096  # bytes that an equilibrium of a mass at the start takes per particle: a factorisation
+MOST_STEPS = 2**31 - 1  # a counter's limit; at a million particle-steps a second one particle would take half an hour
 
 SPEED = {2: 35e6, 3: 15e6}
 """Particle-steps a second on one processor, in 2D and in 3D (`python -m validation.bench speed`)."""
-GPU_SPEED = {2: 350e6, 3: 120e6}
-"""On a GPU (`python -m validation.bench gpu`)."""
-SOLIDS, DOUBLE = 0.8, 0.75
-"""Shares of the speed that are left beside solids and in f64."""
-SLOW, FAST = 0.4, 1.7
-"""Speeds of machines over these: from 16 threads that wait for one memory to a thread alone."""
-START = {2: (1.0, 8.0), 3: (2.0, 15.0)}
-"""Seconds of a start, from kernels that are on disk to those that are compiled."""
-EARLIEST = 0.5
-"""Share of the steps after which flows are taken to rest, where runs end then."""
-MUCH = 10.0
-"""Young's modulus over what the flow needs, from which on a softer material is worth a word."""
-INVERSION = 250 * 2**20
-"""Bytes of PyTorch and of an inversion in a process that also runs the MPM."""
+GPU_SPEED = {2: 350e6, 3: 120e6}  # on a GPU (`python -m validation.bench gpu`)
+SOLIDS, DOUBLE = 0.8, 0.75  # shares of the speed that are left beside solids and in f64
+SLOW, FAST = 0.4, 1.7  # speeds of machines over these: from 16 threads that wait for one memory to a thread alone
+START = {2: (1.0, 8.0), 3: (2.0, 15.0)}  # seconds of a start, from kernels that are on disk to those that are compiled
+EARLIEST = 0.5  # share of the steps after which flows are taken to rest, where runs end then
+MUCH = 10.0  # Young's modulus over what the flow needs, from which on a softer material is worth a word
+INVERSION = 250 * 2**20  # bytes of PyTorch and of an inversion in a process that also runs the MPM
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,10 +24,8 @@ from datasets.scene.particles import mass_counts
 from mpm.cluster import QUEUED, Workers, connected, pool
 from mpm.footprint import PROCESS, expected, planned
 
-MOST_JOBS = 1000
-"""Processes of one machine."""
-TIMINGS = ("wall_s", "compile_s")
-"""Keys of a summary that differ from run to run; the files of a dataset must not."""
+MOST_JOBS = 1000  # processes of one machine
+TIMINGS = ("wall_s", "compile_s")  # keys of a summary that differ from run to run; the files of a dataset must not
 
 
 def command(

@@ -49,22 +49,14 @@ from mpm.laws.mohr_coulomb import flatter
 from mpm.output.recording import Recording
 from mpm.simulation import Options, simulate_many
 
-TIME = 3.0
-"""Of a run, over sqrt(H / g)."""
-MOVED = 2.0
-"""Least displacement of a slope that moves, in elastic settlements."""
-SLUMPED = 50.0
-"""That of a slope that has moved, whether it goes on or not."""
-SHARE = 0.05
-"""Of the particles that must have moved so far."""
-SETTLEMENT = 4.0e-4
-"""Elastic settlement over the height."""
-FRAMES = 50
-"""Of a run: so often the step follows the speed."""
-FIRST = (0.5, 0.8, 1.25, 2.0)
-"""Factors of the first batch; as many are in every other one."""
-WIDEST = 64.0
-"""Factor, or one over it, beyond which no limit is looked for."""
+TIME = 3.0  # of a run, over sqrt(H / g)
+MOVED = 2.0  # least displacement of a slope that moves, in elastic settlements
+SLUMPED = 50.0  # that of a slope that has moved, whether it goes on or not
+SHARE = 0.05  # of the particles that must have moved so far
+SETTLEMENT = 4.0e-4  # elastic settlement over the height
+FRAMES = 50  # of a run: so often the step follows the speed
+FIRST = (0.5, 0.8, 1.25, 2.0)  # factors of the first batch; as many are in every other one
+WIDEST = 64.0  # factor, or one over it, beyond which no limit is looked for
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,8 +37,7 @@ from mpm.solids.terrain import (
     varied_friction,
 )
 
-PUT_BACK = 1.0e-6
-"""Distance from a face [cells] within which a particle has been put back onto it."""
+PUT_BACK = 1.0e-6  # distance from a face [cells] within which a particle has been put back onto it
 
 
 @ti.func

@@ -22,11 +22,9 @@ class Layout:
     features: Features
     exact: bool = False
     """Whether the sign of local damping has the slope of the step, else a bounded one (`mpm.adjoint.grid`)."""
-    impulses: bool = False
-    """Whether the objective depends on the momentum that solids have taken."""
+    impulses: bool = False  # whether the objective depends on the momentum that solids have taken
 
-    _data_oriented: ClassVar[bool] = True
-    """Tells Taichi that a kernel may hold it as a Python object of compile time."""
+    _data_oriented: ClassVar[bool] = True  # tells Taichi that a kernel may hold it as a Python object of compile time
 
     @property
     def width(self) -> int:
@@ -59,23 +57,16 @@ class Block:
 
     worker: Any
     scene: Any
-    number: Any
-    """Of the block among all."""
-    table: Any
-    """The first column of the worker's nodes."""
-    state: Any
-    """Its first vector in `state`, before the step."""
-    adj: Any
-    """In `adjoints`."""
-    after: Any
-    """In the history of states, after the step."""
-    scratch: Any
-    """Of the worker, in `scratch`."""
+    number: Any  # of the block among all
+    table: Any  # the first column of the worker's nodes
+    state: Any  # its first vector in `state`, before the step
+    adj: Any  # in `adjoints`
+    after: Any  # in the history of states, after the step
+    scratch: Any  # of the worker, in `scratch`
     dt: Any
     kappa: Any
 
-    _data_oriented: ClassVar[bool] = True
-    """As of `Layout`."""
+    _data_oriented: ClassVar[bool] = True  # as of `Layout`
 
 
 @ti.func

@@ -21,8 +21,7 @@ import taichi as ti
 from taichi.lang.expr import Expr
 from taichi.lang.impl import expr_init
 
-Rule = Callable[[Any], Any]
-"""What an operand takes of the adjoint of a result."""
+Rule = Callable[[Any], Any]  # what an operand takes of the adjoint of a result
 
 
 def compared(relation: Callable[[Any, Any], Any]) -> Any:
@@ -133,8 +132,7 @@ def flat(values: Any) -> list[Any]:
 class Pullback:
     """A function at arguments, expressions of Taichi nested in lists, and constants without adjoints; its reverse."""
 
-    _data_oriented = True
-    """Tells Taichi that a kernel may hold it as a Python object of compile time."""
+    _data_oriented = True  # tells Taichi that a kernel may hold it as a Python object of compile time
 
     def __init__(self, function: Callable[..., Any], arguments: Sequence[Any], constants: Sequence[Any] = ()) -> None:
         self.tape: list[Number] = []

@@ -30,8 +30,7 @@ from mpm.physics.stress import equivalent_strain, midpoint_increment, strain_bet
 from mpm.physics.transfer import property_of
 from mpm.physics.volume_correction import LEAST, grid_gap, updated_gap
 
-SWEEPS = {"f32": 4, "f64": 6}
-"""Sweeps of three rotations: what is left off the diagonal falls at least with its square."""
+SWEEPS = {"f32": 4, "f64": 6}  # sweeps of three rotations: what is left off the diagonal falls at least with its square
 
 
 def before_return(columns, strained, moduli, opening, box, dt, strengths_at, features):

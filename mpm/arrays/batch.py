@@ -50,10 +50,8 @@ from mpm.solids.bed import bed_arrays
 from mpm.solids.obstacles import initial_contacts, near_walls, obstacles_of
 
 Array = NDArray[Any]
-PORTION = 2**18
-"""Particles whose nearest faces are found together at the start: some 250 bytes each."""
-TILE = 4
-"""Cells along each side of the squares in plan by which particles in 3D are sorted."""
+PORTION = 2**18  # particles whose nearest faces are found together at the start: some 250 bytes each
+TILE = 4  # cells along each side of the squares in plan by which particles in 3D are sorted
 
 
 class Batch:

@@ -18,8 +18,7 @@ class ArrayKind(Enum):
     """Element and rank of an array; a block is a vector of lanes, a node a short one of `Features.node` numbers."""
 
     BLOCKS = "block", 1
-    LANES = "lane", 1
-    """The numbers of such vectors: a second view of the memory of BLOCKS."""
+    LANES = "lane", 1  # the numbers of such vectors: a second view of the memory of BLOCKS
     NODES = "node", 1
     REAL = "real", 1
     REAL_TABLE = "real", 2
@@ -50,8 +49,7 @@ STEP = named(
 """What a step reads and writes, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""
 RECORD = named(INTEGER="order", SINGLE="positions", DOUBLE="energy", DOUBLE_TABLE="recorded_impulse")
 """What the end of a frame reads and writes besides."""
-DEVICE = named(INTEGER="owner", REAL_TABLE="step_control")
-"""What only a GPU reads and writes."""
+DEVICE = named(INTEGER="owner", REAL_TABLE="step_control")  # what only a GPU reads and writes
 ADJOINT = named(
     BLOCKS="adjoints history",
     LANES="adjoint_lanes history_lanes",

@@ -13,18 +13,13 @@ from datasets.scene import Domain
 
 Precision = Literal["f32", "f64"]
 
-INDEX_LIMIT = 2**30
-"""Numbers that an array of the particles may hold (`mpm.arrays.access.no_overflow`)."""
-PADDING = 3
-"""Cells of grid beyond every wall: the support of a quadratic B-spline is one and a half to either side."""
+INDEX_LIMIT = 2**30  # numbers that an array of the particles may hold (`mpm.arrays.access.no_overflow`)
+PADDING = 3  # cells of grid beyond every wall: the support of a quadratic B-spline is one and a half to either side
 NODES_PER_PARTICLE, FEWEST_NODES = 2, 1024
 """Nodes for which a worker has room at first, but no more than its box has; flows of two cells and more need less."""
-CACHE_LINE = 64
-"""Bytes."""
-ALIGNMENT = 128
-"""Bytes: loads of a whole vector of lanes fail on less."""
-GROWTH = 1.5
-"""Nodes for which a worker that has too few gets room, over those it needs."""
+CACHE_LINE = 64  # bytes
+ALIGNMENT = 128  # bytes: loads of a whole vector of lanes fail on less
+GROWTH = 1.5  # nodes for which a worker that has too few gets room, over those it needs
 
 
 class Setting(IntEnum):
@@ -126,8 +121,7 @@ FIRST_FACE = 2**24
 on either side of zero."""
 
 
-BED_PER_CELL = 2
-"""Nodes of the lattice of a terrain in 3D per cell of the grid (`mpm.solids.bed`)."""
+BED_PER_CELL = 2  # nodes of the lattice of a terrain in 3D per cell of the grid (`mpm.solids.bed`)
 BED_FIRST = BED_PER_CELL * PADDING + 1
 """The number along an axis of its node at the corner of the box: one lies beyond the padding."""
 

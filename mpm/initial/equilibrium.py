@@ -22,38 +22,27 @@ from mpm.solids.obstacles import contact_delta, covered_at, from_wall
 
 Floats = NDArray[np.float64]
 
-ITERATIONS = 100
-"""Solutions for an unbalanced force at most."""
-PATIENCE, PROGRESS = 10, 0.9
-"""How many in a row may leave more than this part of the least unbalanced force so far."""
-ROUNDING = 1.0e-9
-"""Change of stress by the yield surface, over the largest stress, that does not count."""
-BALANCED = 1.0e-12
-"""Unbalanced nodal forces, summed, over the weight, at which iterations end."""
+ITERATIONS = 100  # solutions for an unbalanced force at most
+PATIENCE, PROGRESS = 10, 0.9  # how many in a row may leave more than this part of the least unbalanced force so far
+ROUNDING = 1.0e-9  # change of stress by the yield surface, over the largest stress, that does not count
+BALANCED = 1.0e-12  # unbalanced nodal forces, summed, over the weight, at which iterations end
 UNBALANCED = 1.0e-3
 """The same beyond which a warning says that there is no equilibrium.
 
 Less than that is left where a cohesionless surface or its edge hangs on single particles that jitter has put aside:
 there is no admissible stress for those nodes, and they alone move, by tenths of a millimetre a second.
 """
-INSIDE = 0.9
-"""Of the deviator at yield: how far inside a stress that violated yield is put back."""
-SOFTENED, SOFTEST = 0.1, 1.0e-3
-"""Factor on theta of a particle that yields, and its least value."""
-ACCURACY = 1.0e-2
-"""Relative residual of a solution; what is left belongs to the next one."""
+INSIDE = 0.9  # of the deviator at yield: how far inside a stress that violated yield is put back
+SOFTENED, SOFTEST = 0.1, 1.0e-3  # factor on theta of a particle that yields, and its least value
+ACCURACY = 1.0e-2  # relative residual of a solution; what is left belongs to the next one
 INERTIA = 0.01
 """Of the stiffness of a body's slowest mode, per mass, where it touches solids: nodes that lone particles at its edge
 cannot hold fall there, in place of loading these particles without bound."""
-WEAK = 0.4
-"""Of the largest nodal mass: lighter nodes are solved for directly."""
-SHIFT = 1.0e-9
-"""On the diagonal of the scaled block that is factorised: nodes of a single particle make it singular."""
-EXTRA_STEPS = 60
-"""Steps of conjugate gradients after which the block is factorised anew."""
+WEAK = 0.4  # of the largest nodal mass: lighter nodes are solved for directly
+SHIFT = 1.0e-9  # on the diagonal of the scaled block that is factorised: nodes of a single particle make it singular
+EXTRA_STEPS = 60  # steps of conjugate gradients after which the block is factorised anew
 MOST_STEPS = 600
-SETTLING = {2: 20, 3: 5}
-"""Solutions for layers on a slope, by dimension."""
+SETTLING = {2: 20, 3: 5}  # solutions for layers on a slope, by dimension
 
 
 class Equilibrium:

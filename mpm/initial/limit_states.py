@@ -26,19 +26,15 @@ from mpm.initial.grid_operators import clings
 
 Floats = NDArray[np.float64]
 
-RELAXED = 1.6
-"""Factor on the step of z, below 2."""
-ITERATIONS, BETWEEN = 240, 4
-"""Steps at most, and after how many what is unbalanced is computed: a look."""
+RELAXED = 1.6  # factor on the step of z, below 2
+ITERATIONS, BETWEEN = 240, 4  # steps at most, and after how many what is unbalanced is computed: a look
 PATIENCE, PROGRESS = 8, 0.8
 """How many looks in a row may leave more than this part of the least unbalanced force so far."""
 NEARLY, ENOUGH, HASTE = 2.0e-3, 2.0e-4, 4
 """Unbalanced nodal forces, summed, over the weight: where less is left, or patience ends, nodes that walls would pull
 are freed; and below which a look without progress counts for so many: hardly anything moves then."""
-ROUGH = 0.1
-"""Relative residual of P_E."""
-RELEASES = 5
-"""How often nodes are freed."""
+ROUGH = 0.1  # relative residual of P_E
+RELEASES = 5  # how often nodes are freed
 
 
 class WithThrust:

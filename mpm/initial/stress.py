@@ -46,8 +46,7 @@ from mpm.initial.slope import slope_stress
 
 Floats = NDArray[np.float64]
 
-NEAR = 0.01
-"""Share of a box's thrust that an elastic solution may miss, and any solution without a word."""
+NEAR = 0.01  # share of a box's thrust that an elastic solution may miss, and any solution without a word
 
 
 def initial_tractions(

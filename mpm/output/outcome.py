@@ -21,18 +21,12 @@ from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
 
-MOVING = "not at rest"
-"""How the remark on a flow that still moves at its end begins."""
-AT_REST = 1e-3
-"""Kinetic energy of a deposit at rest, over its largest, at most."""
-SLOW = 2e-3
-"""Root mean square speed below which nothing moves, over sqrt(g H), H the height of the body at the start."""
-SHARE = 0.005
-"""Of the particles: what is beyond the front."""
-NEAR = 2.0
-"""Cells from a wall: sand against it comes to lie a part of a cell off, its tongue is a layer of particles."""
-FEWEST_CELLS = 3.0
-"""Cells across a body or a layer."""
+MOVING = "not at rest"  # how the remark on a flow that still moves at its end begins
+AT_REST = 1e-3  # kinetic energy of a deposit at rest, over its largest, at most
+SLOW = 2e-3  # root mean square speed below which nothing moves, over sqrt(g H), H the height of the body at the start
+SHARE = 0.005  # of the particles: what is beyond the front
+NEAR = 2.0  # cells from a wall: sand against it comes to lie a part of a cell off, its tongue is a layer of particles
+FEWEST_CELLS = 3.0  # cells across a body or a layer
 
 
 def failure(batch: Batch, index: int) -> WorkFailed | None:

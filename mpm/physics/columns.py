@@ -18,8 +18,7 @@ from mpm.solids.face_lookup import entry_of, holds_of_node
 
 MARGIN = 0.49
 """Cells that particles may move before columns are made anew: half a cell, less the rounding of a position in f32."""
-OUTDATED = 1.0
-"""Cells that stand for columns that have to be made anew."""
+OUTDATED = 1.0  # cells that stand for columns that have to be made anew
 
 
 @ti.func

@@ -64,12 +64,9 @@ from mpm.physics.pore_pressure import total_stress
 from mpm.solids.face_lookup import TINY, entry_of, face_number, holds_of_node, normal_of, solid_of
 from mpm.solids.terrain import bed_hold
 
-NO_FACE = -2.0 * FIRST_FACE
-"""Less than the number of any face among reals."""
-SHEET = 0.55
-"""What a thin sheet gives to itself over the grid, per cell of thickness [-]."""
-THINNEST = 0.1
-"""Thickness [widths of contact] of the thinnest layer that feels the whole drag."""
+NO_FACE = -2.0 * FIRST_FACE  # less than the number of any face among reals
+SHEET = 0.55  # what a thin sheet gives to itself over the grid, per cell of thickness [-]
+THINNEST = 0.1  # thickness [widths of contact] of the thinnest layer that feels the whole drag
 
 
 @ti.func

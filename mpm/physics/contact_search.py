@@ -50,10 +50,8 @@ from mpm.solids.terrain import (
     varied_friction,
 )
 
-FAR = 1.0e30
-"""Distance [m] of what is not there."""
-MAX_CROSSINGS = 3
-"""Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
+FAR = 1.0e30  # distance [m] of what is not there
+MAX_CROSSINGS = 3  # faces along which the displacement of one step is led; beyond them the particle stays where it was
 LONGER = 0.25
 """Cells beyond the distance that is searched up to which a face is followed: particles that hover there need none."""
 

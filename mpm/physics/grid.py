@@ -23,8 +23,7 @@ from mpm.physics.contact import apply_solids
 from mpm.physics.inflow import held_behind
 from mpm.solids.terrain import FAR_BELOW, bed_under
 
-SLOW = 1.0e-3
-"""Speed over sqrt(g dx) below which local damping fades [-]."""
+SLOW = 1.0e-3  # speed over sqrt(g dx) below which local damping fades [-]
 
 
 @ti.func

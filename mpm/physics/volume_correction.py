@@ -37,14 +37,12 @@ from mpm.arrays.access import TINY, clamp, magnitude, maximum, minimum, no_overf
 from mpm.arrays.layout import Contact
 from mpm.arrays.properties import GAP_CUTOFF
 
-DEEPEST = 0.25
-"""Least share of the density that a free surface is taken to leave."""
+DEEPEST = 0.25  # least share of the density that a free surface is taken to leave
 SCATTER, FASTEST = 0.04, 15.0
 """Volume strain [-] that the scatter of particles can feign, and the most that it counts as over the particle's own
 gap [-]: so a gap grows by e^14 in T_g at most."""
 
-LEAST = 1.0e-8
-"""Volume strain [-] that counts as none: rounding is as large."""
+LEAST = 1.0e-8  # volume strain [-] that counts as none: rounding is as large
 
 
 @ti.func

@@ -67,14 +67,10 @@ from mpm.physics.pore_pressure import suction_held
 from mpm.physics.transfer import lowest_column, particles_in, property_of, volume_of
 from mpm.physics.water_cells import solve_cells
 
-MOST = 10.0
-"""Diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice."""
-STEEPEST = 3.0
-"""Deviator over mean pressure that no grains without cohesion bear [-]."""
-DAMPING = 0.5
-"""Part of the last f by which the pressure in the forces is ahead: it damps the water's pressure waves."""
-LEANING = 0.05
-"""Least component of a solid's normal along an axis by which it closes the cells' faces across that."""
+MOST = 10.0  # diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice
+STEEPEST = 3.0  # deviator over mean pressure that no grains without cohesion bear [-]
+DAMPING = 0.5  # part of the last f by which the pressure in the forces is ahead: it damps the water's pressure waves
+LEANING = 0.05  # least component of a solid's normal along an axis by which it closes the cells' faces across that
 
 
 @ti.func

@@ -22,10 +22,8 @@ from mpm.arrays.layout import BED_FIRST, BED_PER_CELL, PADDING, Offset, TerrainN
 
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
-MOST_SAMPLES = 4
-"""Along each side of the square around a node of the lattice."""
-PORTION = 2**20
-"""Nodes of the lattice whose elevations are found together."""
+MOST_SAMPLES = 4  # along each side of the square around a node of the lattice
+PORTION = 2**20  # nodes of the lattice whose elevations are found together
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,14 +31,10 @@ class Bed:
     """Elevations of a height field on the lattice of a box; X times Z nodes."""
 
     field: HeightField
-    spacing: float
-    """Between the nodes [m]."""
-    x: Floats
-    """Of the nodes [m], shape [X]."""
-    z: Floats
-    """[m], shape [Z]."""
-    heights: Floats
-    """[m], shape [X, Z]."""
+    spacing: float  # between the nodes [m]
+    x: Floats  # of the nodes [m], shape [X]
+    z: Floats  # [m], shape [Z]
+    heights: Floats  # [m], shape [X, Z]
 
     def at_nodes(self, at_posts: Floats) -> Floats:
         """Numbers of the posts at the nodes, shape [X, Z]."""

@@ -9,12 +9,10 @@ import taichi as ti
 from mpm.arrays.layout import FIRST_FACE, PADDING, Offset, Setting
 from mpm.solids.terrain import in_terrain
 
-SKIN = 1.0e-3
-"""Cells by which rounding may have put a particle behind the face it rests on."""
+SKIN = 1.0e-3  # cells by which rounding may have put a particle behind the face it rests on
 SLACK = 0.25
 """Cells by which a particle may be beside its cell and find the nearest face in the list of that cell still."""
-TINY = 1.0e-20
-"""Keeps quotients finite."""
+TINY = 1.0e-20  # keeps quotients finite
 
 
 @ti.func

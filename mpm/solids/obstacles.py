@@ -49,20 +49,16 @@ Array = NDArray[Any]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-BLEND = 0.5
-"""Distance beyond that of the nearest face [cells] from which another one holds a node no more."""
+BLEND = 0.5  # distance beyond that of the nearest face [cells] from which another one holds a node no more
 
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
     """A box of cells, and of the nodes at their lowest corners; D dimensions."""
 
-    low: tuple[int, ...]
-    """The lowest node, as the grid counts from its first padding node, shape [D]."""
-    shape: tuple[int, ...]
-    """Cells along each axis, shape [D]."""
-    cell: float
-    """[m]."""
+    low: tuple[int, ...]  # the lowest node, as the grid counts from its first padding node, shape [D]
+    shape: tuple[int, ...]  # cells along each axis, shape [D]
+    cell: float  # [m]
 
     @property
     def count(self) -> int:
@@ -116,22 +112,15 @@ class Obstacles:
     faces: Array
     """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], number
     of its solid; see `mpm.arrays.features.Features.face`; shape [F, columns]."""
-    cell_faces: Array
-    """Where the list of each cell begins in `near_faces`, shape [C + 1] of each scene."""
-    near_faces: Array
-    """The faces near the cells."""
-    cell_distance: Array
-    """No point of a cell is nearer to a face that its list is without [m], shape [C + 1]."""
-    node_holds: Array
-    """Where those of each node begin in `holds`, shape [C + 1]."""
-    holds: Array
-    """Of each hold its face, the friction there [-] and its share [-], shape [K, 3]."""
+    cell_faces: Array  # where the list of each cell begins in `near_faces`, shape [C + 1] of each scene
+    near_faces: Array  # the faces near the cells
+    cell_distance: Array  # no point of a cell is nearer to a face that its list is without [m], shape [C + 1]
+    node_holds: Array  # where those of each node begin in `holds`, shape [C + 1]
+    holds: Array  # of each hold its face, the friction there [-] and its share [-], shape [K, 3]
     covered: Array
     """Of each node the sides of the box that a solid covers, bit k for side k of x-, x+, y-, ..., shape [C + 1]."""
-    windows: tuple[Window, ...]
-    """Of each scene."""
-    beds: tuple[Bed | None, ...]
-    """Of each scene."""
+    windows: tuple[Window, ...]  # of each scene
+    beds: tuple[Bed | None, ...]  # of each scene
     frictions: tuple[Floats, ...]
     """Of the posts of their terrain [-], shape [X, Z], or [1, 1] where it is one; empty without a bed."""
 

@@ -19,8 +19,7 @@ from mpm.arrays.layout import BED_FIRST, BED_PER_CELL, PADDING, BedUnder, Offset
 FADE = 0.5
 """Depth [cells] in a solid by which its hold of a node has grown from nothing to all. Where it is three quarters of a
 cell, nodes give way while a bed is laid against the solid, and its thrust is up to 15 % too low."""
-FAR_BELOW = -1.0e30
-"""Elevation [m] of a bed that is not there."""
+FAR_BELOW = -1.0e30  # elevation [m] of a bed that is not there
 
 
 @ti.func
