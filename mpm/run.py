@@ -20,7 +20,7 @@ from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from datasets.scene.particles import particle_count
 from mpm.arrays.layout import Precision
-from mpm.footprint import Footprint, expected, footprint, step_spoken
+from mpm.footprint import expected, footprint, step_spoken
 from mpm.output.checkpoint import Checkpoint, described
 from mpm.output.recording import Recording
 from mpm.resolution import read_tolerance, resolved
@@ -92,34 +92,24 @@ def command(
         wall_forces=fields or forces,
         until_rest=until_rest,
     )
-    workers = parts_for(particle_count(given)) if arch == "cpu" else 1
-    appended = hdf5 and not record.fields and not last_frame and arch == "cpu"
-    with naming(Path(scene)):
-        plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)
     options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
-    return write_flow(given, out, plan, options, workers=workers, hdf5=hdf5, appended=appended, vtk=vtk, forces=forces)
+    return write_flow(scene, given, out, options, hdf5=hdf5, vtk=vtk, forces=forces)
 
 
-def write_flow(
-    scene: Scene,
-    out: Path,
-    plan: Footprint,
-    options: "Options",
-    *,
-    workers: int,
-    hdf5: bool,
-    appended: bool,
-    vtk: bool,
-    forces: bool,
-) -> int:
+def write_flow(name: str, scene: Scene, out: Path, options: "Options", *, hdf5: bool, vtk: bool, forces: bool) -> int:
     """Simulate a scene, from a checkpoint where there is one, and write what `command` says; returns the exit status.
 
-    appended: frame by frame, to HDF5.
+    name: of the scene, in errors.
     """
+    record, precision, gpu = options["record"], options["precision"], options["arch"] != "cpu"
+    workers = 1 if gpu else parts_for(particle_count(scene))
+    # Frame by frame, to HDF5.
+    appended = hdf5 and not (record.fields or record.every == 0 or gpu)
+    with naming(Path(name)):
+        plan = footprint(scene, record=record, precision=precision, workers=workers, gpu=gpu, in_file=appended)
     # Imported here: --help needs no compiler.
     from mpm.simulation import Interrupted, simulate
 
-    record, precision, arch = options["record"], options["precision"], options["arch"]
     file, frames = out / "checkpoint.npz", out / f"trajectory{HDF5}"
     start = Checkpoint.load(file) if file.exists() else None
     if start is not None and start.run != described(scene, record, precision):
@@ -128,7 +118,7 @@ def write_flow(
     if start is not None and frames.exists():
         start.arrays["positions"] = open_trajectory(frames).positions
     work = plan.work * (1.0 if start is None else 1.0 - start.frame / max(1, scene.frames - 1))
-    machine: dict[str, Any] = {"processors": workers, "precision": precision, "arch": arch}
+    machine: dict[str, Any] = {"processors": workers, "precision": precision, "arch": options["arch"]}
     price = expected(scene, work, memory=plan.bytes, until_rest=record.until_rest, **machine)
     make_folder(out)
     print(f"{plan}; {step_spoken(scene)}; {price}", flush=True)

@@ -57,11 +57,8 @@ def found_reverse(block: ti.template(), put_back: ti.template(), arrays: ti.temp
     for lane in range(lanes):
         here = arrays.lanes[(block.state + features.state.present) * lanes + lane]
         adj_at, then = block.adj * lanes + lane, block.after * lanes + lane
-        at, contact, scratch = (
-            adj_at + contacts,
-            then + contacts,
-            (block.scratch + layout.scratch.before) * lanes + lane,
-        )
+        at, contact = adj_at + contacts, then + contacts
+        scratch = (block.scratch + layout.scratch.before) * lanes + lane
         delta = arrays.history_lanes[contact + Contact.DELTA * lanes]
         adj_x = lane_numbers(arrays.adjoint_lanes, adj_at, arrays)
         adj_v = lane_numbers(arrays.adjoint_lanes, adj_at + velocity, arrays)

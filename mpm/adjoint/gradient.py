@@ -119,14 +119,10 @@ class Gradient(RunNumbers):
 
     def setting(self, name: str) -> float:
         """dJ/d(number `name` of the scene): floor_friction, wall_friction, damping, gravity, slope_deg, ..."""
-
-        def scene_at(value: float) -> Scene:
-            return dataclasses.replace(self.scene, **{name: value})  # type: ignore[arg-type]
-
         at = getattr(self.scene, name)
         if isinstance(at, str):
             raise InputError(f"expected a number of which there is a derivative, got {at!r}", key=name)
-        return self.along(scene_at, at)
+        return self.along(lambda value: dataclasses.replace(self.scene, **{name: value}), at)  # type: ignore[arg-type]
 
     def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
         """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this one. Raises InputError for other particles."""

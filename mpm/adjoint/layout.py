@@ -51,7 +51,7 @@ class Layout:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Block:
     """A block of particles in a step that is reversed: numbers of the kernel, which its functions pass on together."""
 

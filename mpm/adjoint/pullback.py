@@ -34,11 +34,8 @@ class Number:
 
     def __init__(self, tape: list["Number"], value: Any, *operands: tuple[Any, Rule], active: bool = False) -> None:
         self.tape, self.value = tape, expr_init(value)
-        self.operands: list[tuple[Number, Rule]] = [
-            operand for operand in operands if getattr(operand[0], "active", False)
-        ]
-        self.active: bool = active or bool(self.operands)
-        """Whether it depends on an argument that has an adjoint."""
+        self.operands = [(operand, rule) for operand, rule in operands if getattr(operand, "active", False)]
+        self.active: bool = active or bool(self.operands)  # whether it depends on an argument that has an adjoint
         self.adj: Any = None
         tape.append(self)
 

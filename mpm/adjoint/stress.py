@@ -124,9 +124,8 @@ def stress_reverse(block: ti.template(), arrays: ti.template()):
     adj_after = adjoints_of(block, features.state.stress, features.stresses, arrays)
     adj_whole = [adj_after[k] + adj_new[k] for k in ti.static(range(features.stresses))]
     others = [adj_strain, adj_opened]
-    adj_trial, adj_strengths, adj_returned = plastic_return_reverse(
-        adj_whole + others, trial, strengths, lame, shear, features
-    )
+    adj = adj_whole + others
+    adj_trial, adj_strengths, adj_returned = plastic_return_reverse(adj, trial, strengths, lame, shear, features)
     adj_columns, adj_strained, adj_moduli, adj_opening = ti.static(taken(adj_trial + adj_strengths))
     for k in ti.static(range(features.stresses)):
         arrays.adjoints[block.adj + features.state.stress + k] = zero

@@ -1,9 +1,8 @@
 """Geostatic stress with a given thrust, within the yield surface: admissible up to active and passive pressure.
 
 What jitter does to single particles must not change the thrust of a box on its walls, K0 rho g H^2 / 2. Where K0 is
-near a limit of yield nearly all particles stand on it, and the elastic correction of `mpm.initial.equilibrium`, whose
-excess is then scaled back, moves their mean away from it (0.40 for 0.34). Equilibrium and thrust are linear in the
-stress and the yield surface is convex, so a stress that has them all is a point of two convex sets,
+near a limit of yield nearly all particles stand on it, and the correction of `mpm.initial.equilibrium` moves their mean
+away from it (0.40 for 0.34). A stress that has equilibrium, thrust and yield is a point of two convex sets,
 
     E = {sigma: r(sigma) = 0, sum_p V_p sigma_aa = K0 sum_p V_p sigma_v for every box and level axis a}
     Y = {sigma: the law of strength, reduced by a little, and the tension limit hold in every particle}

@@ -110,7 +110,8 @@ def spline(at: Floats, nodes: Floats, spacing: float) -> tuple[NDArray[np.int64]
 def bed_of(field: HeightField, domain: Domain) -> Bed:
     """The bed of a height field in a box; the same for the same field and box."""
     spacing = domain.cell / BED_PER_CELL
-    x, z = (lattice_axis(count, spacing) for count in node_shape(domain)[::2])
+    counts = [BED_PER_CELL * (nodes - 1 - 2 * PADDING) + 2 * BED_FIRST + 1 for nodes in node_shape(domain)[::2]]
+    x, z = (np.asarray(spacing * (np.arange(count) - BED_FIRST), np.float64) for count in counts)
     heights = np.zeros((len(x), len(z)))
     offsets = [sample_offsets(spacing, posts) for posts in (field.x, field.z)]
     for dz in offsets[1].tolist():
@@ -129,12 +130,6 @@ def frictions_of(bed: Bed, most: float) -> Floats:
     """Those of the nodes of a bed [-], shape [X, Z], with at most `most` at the posts; [1, 1] where all have one."""
     at_posts = np.minimum(bed.field.friction, most)
     return at_posts if at_posts.size == 1 else bed.at_nodes(at_posts)
-
-
-def lattice_axis(nodes: int, spacing: float) -> Floats:
-    """Coordinates [m] of the lattice along an axis of a grid with so many nodes."""
-    count = BED_PER_CELL * (nodes - 1 - 2 * PADDING) + 2 * BED_FIRST + 1
-    return np.asarray(spacing * (np.arange(count) - BED_FIRST), np.float64)
 
 
 def bed_arrays(

@@ -119,14 +119,9 @@ def unlisted_distance(x, entry, scene, arrays: ti.template()):
                 low_x, high_x = low * cell, (low + arrays.offsets[scene, Offset.WINDOW_X + k]) * cell
                 apart = ti.max(low_x - x[k], x[k] - high_x, 0.0 * cell)
                 square += apart * apart
-            bound = reach_of(scene, arrays) + ti.sqrt(square)
+            # Beyond the distance up to which faces are listed (`mpm.solids.obstacles.farthest`).
+            bound = arrays.settings[scene, Setting.SEARCH_DISTANCE] + cell + ti.sqrt(square)
     return bound
-
-
-@ti.func
-def reach_of(scene, arrays: ti.template()):
-    """The distance from solids up to which the nearest face is found [m] (`mpm.solids.obstacles.farthest`)."""
-    return arrays.settings[scene, Setting.SEARCH_DISTANCE] + arrays.settings[scene, Setting.CELL]
 
 
 @ti.func

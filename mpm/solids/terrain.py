@@ -32,12 +32,6 @@ def in_terrain(face, scene, arrays: ti.template()):
 
 
 @ti.func
-def nearness(scene, arrays: ti.template()):
-    """The least part of the height above the bed that is the distance from it [-]."""
-    return arrays.terrain[arrays.offsets[scene, Offset.TERRAIN] + TerrainNumber.NEARNESS]
-
-
-@ti.func
 def bed_spacing(scene, arrays: ti.template()):
     """Between the nodes of the lattice [m]."""
     return arrays.settings[scene, Setting.CELL] / BED_PER_CELL

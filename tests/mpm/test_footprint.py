@@ -93,8 +93,7 @@ def test_a_range_grows_with_the_work_and_falls_with_the_processors() -> None:
 
 
 SLOPE, RADIUS, END, FRICTION = np.radians(30.0), 60.0, 600.0, 0.3
-FOOT = 260.0
-"""x of the foot [m], where the slope of 300 m would meet the level without the arc between."""
+FOOT = 260.0  # x of the foot [m], where the slope of 300 m would meet the level without the arc between
 
 
 def mountainside() -> Scene:

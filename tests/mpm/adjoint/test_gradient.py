@@ -126,8 +126,7 @@ SCENES = {
     "3D ground": room(masses=RAISED, solids=(HILL,), volume_correction=False, duration=0.015),
     "3D thrown": room(masses=HURLED, solids=(HILL,), volume_correction=False, duration=0.015),
 }
-FAST = ("2D",)
-"""The others have kernels of their own, which take long to compile."""
+FAST = ("2D",)  # the others have kernels of their own, which take long to compile
 
 MATERIAL = {
     **{"friction_deg": 1e-2, "young": 1e3, "poisson": 1e-4, "density": 1.0, "cohesion": 0.1, "tension_cutoff": 1e-1},
@@ -135,8 +134,7 @@ MATERIAL = {
     **{"friction_limit_deg": 1e-2, "inertial_number": 1e-4, "grain_diameter": 1e-6, "grain_density": 1.0},
 }
 SETTINGS = {"floor_friction": 1e-3, "wall_friction": 1e-3, "gravity": 1e-2, "slope_deg": 1e-2, "damping": 1e-4}
-Way = tuple[str | int, ...]
-"""Keys and indices from a scene to a number."""
+Way = tuple[str | int, ...]  # keys and indices from a scene to a number
 STEPS: dict[Way, float] = {
     **{("material", name): step for name, step in MATERIAL.items()},
     **{("material", "constants", name): 1.0 for name in ("strength", "hardening")},
