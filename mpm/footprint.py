@@ -81,10 +81,7 @@ def footprint(
     gpu: bool = False,
     in_file: bool = False,
 ) -> Footprint:
-    """What a run of `scene` on so many `workers` takes, its frames in a file or in memory.
-
-    Raises InputError for one that no machine could make.
-    """
+    """What a run on so many `workers` takes, frames in a file or in memory. Raises InputError for an endless one."""
     features = features_of([scene], precision, record=record, shared=workers > 1, gpu=gpu)
     substeps = substeps_per_frame(scene, [scene.material_of(mass) for mass in scene.masses])
     steps = substeps * (scene.frames - 1)

@@ -97,10 +97,7 @@ def command(
 
 
 def write_flow(name: str, scene: Scene, out: Path, options: "Options", *, hdf5: bool, vtk: bool, forces: bool) -> int:
-    """Simulate a scene, from a checkpoint where there is one, and write what `command` says; returns the exit status.
-
-    name: of the scene, in errors.
-    """
+    """Simulate the scene of `name`, from a checkpoint if there is one, and write what `command` says; its status."""
     record, precision, gpu = options["record"], options["precision"], options["arch"] != "cpu"
     workers = 1 if gpu else parts_for(particle_count(scene))
     # Frame by frame, to HDF5.
@@ -160,10 +157,7 @@ def write_flow(name: str, scene: Scene, out: Path, options: "Options", *, hdf5: 
 
 
 def print_summary(summary: Mapping[str, Any], out: Path, *, asked: bool) -> None:
-    """Where the flow came to rest, what it cost, how to look at it, and what must be known of it besides.
-
-    asked: for a flow at rest.
-    """
+    """Where the flow came to rest, if `asked` for, what it cost, how to look at it, and what must be known besides."""
     rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
     rest = "not at rest when its duration ended, " if asked else ""
     if summary["rest_time"] is not None:

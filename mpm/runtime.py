@@ -96,10 +96,7 @@ def workers_for(particles: int, threads: int | None = None) -> int:
 
 
 def parts_for(particles: int, threads: int | None = None) -> int:
-    """Parts that one scene of so many particles is computed in, by at most so many threads, all processors by default.
-
-    A thread computes one or several of them.
-    """
+    """Parts, one or several a thread, in which a scene of so many particles is computed by at most so many threads."""
     threads = threads or processors()
     if PARTS % threads > 0:
         return workers_for(particles, threads)

@@ -251,9 +251,7 @@ def add_face(face, column: ti.template(), value, arrays: ti.template()):
 
 @ti.func
 def hold_reverse(adj, v, normal, friction, share):
-    """Adjoints of a node's velocity `v` [m/s], of the normal, the friction and the share of a hold, from that of what
-    this takes of it, share (v - A v).
-    """
+    """Adjoints of a node's `v` [m/s], normal, friction and share of a hold, from that of share (v - A v)."""
     through, adj_normal, adj_friction = after_contact_reverse((0.0 - share) * adj, v, normal, friction)
     return share * adj + through, adj_normal, adj_friction, adj.dot(v - after_contact(v, normal, friction))
 

@@ -170,9 +170,7 @@ class Start(RunNumbers):
 
 
 def rows_at(material: Material, depth: Floats, friction_deg: Floats | None, name: str, value: float) -> Floats:
-    """`properties_at` with the constant `name` of the material at `value`, by which angles of the particles themselves
-    are raised.
-    """
+    """`properties_at` with a constant of the material at `value`, by which angles of the particles are raised."""
     if name == "friction_deg" and friction_deg is not None:
         return properties_at(material, depth, friction_deg + value)
     return properties_at(material.with_constant(name, value), depth, friction_deg)

@@ -236,10 +236,7 @@ def in_axes(m: ti.template(), axes: ti.template()):
 
 @ti.func
 def principal_axes(m: ti.template(), features: ti.template()):
-    """Principal values s1 >= s2 >= s3 of xx, yy, zz, xy, yz, zx, and the components of the axes, three after three.
-
-    One rotation does in 2D, where yz and zx are 0.
-    """
+    """Principal values s1 >= s2 >= s3 of six components and their axes, three after three; one rotation does in 2D."""
     zero = 0.0 * m[0]
     value = [m[k] + zero for k in ti.static(range(3))]
     # Across the axis k.

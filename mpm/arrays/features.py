@@ -58,10 +58,7 @@ class Hardware:
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
-    """What the scenes of a batch need; nothing else is in their kernels.
-
-    `state`, `face`, `node` and `scratch` are addresses of numbers, in the order of memory.
-    """
+    """What the scenes of a batch need, and nothing else; `state`, `face`, `node` and `scratch` are addresses."""
 
     dimension: int
     precision: Precision

@@ -127,10 +127,7 @@ def in_precision(
 
 
 def properties_row(material: Material, volume: float) -> Array:
-    """One line of `properties`; `volume` of a particle [m^D].
-
-    Of a material whose strength grows with depth, the strength at its top.
-    """
+    """One line of `properties`, at the top of a body; `volume` of a particle [m^D]."""
     return np.asarray(properties_at(material, np.zeros(1), volume=volume)[0])
 
 

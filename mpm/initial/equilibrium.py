@@ -287,10 +287,7 @@ class Equilibrium:
         return np.where(self.free, force + self.inertia * displacements, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
-        """`stress` without tension beyond the limit, then scaled towards its mean until its law admits it.
-
-        Where that was needed, by a factor `inside` further.
-        """
+        """`stress` cut at the tension limit, then scaled to its mean till its law admits it, there by `inside` more."""
         principal = np.linalg.eigvalsh(stress)
         beyond, stress = principal[:, 2] > self.limit, stress.copy()
         principal = np.minimum(principal, self.limit[:, None])

@@ -37,9 +37,7 @@ MARGIN = 0.1  # share by which sin(phi) is reduced for K
 
 
 def begins_as_slope(scene: Scene, mass: Mass) -> bool:
-    """Whether `mass` lies flat on inclined ground: a layer or a polygon along it; in a tilted box also a box on what is
-    level, or on such boxes.
-    """
+    """Whether a layer or polygon lies along inclined ground, or in a tilted box a box on what is level, or on such."""
     if not lies_flat(scene, mass):
         return False
     tilted = scene.slope_deg != 0.0
@@ -89,9 +87,7 @@ def sides(mass: Mass, cell: float) -> tuple[Floats, Floats, Floats]:
 
 
 def depth_below_top(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:
-    """Depth [m] below the top of a mass at the same x, z, [N]; depth: that of its particles, of a polygon below its
-    highest place.
-    """
+    """Depth [m] below the top at the same x, z, [N]; depth: of its particles, of a polygon below its highest place."""
     if mass.kind != "polygon":
         return depth
     x, _, top = sides(mass, scene.domain.cell)

@@ -200,9 +200,7 @@ def turn_traction(block, arrays: ti.template()):
 
 @ti.func
 def keep_out(block, scratch, lane, bound, worker, scene, arrays: ti.template()):
-    """Contact of the particle in `lane` of a block, which does not follow the inside of a face; bound: its distance is
-    no less [m].
-    """
+    """Contact of the particle in `lane` that does not follow the inside of a face, no nearer than `bound` [m]."""
     free = arrays.lanes[contact_at(block, Contact.FREE, arrays) * arrays.features.lanes + lane]
     if free > 0.0:
         stop_at_face(block, scratch, lane, worker, scene, arrays)

@@ -178,9 +178,7 @@ def velocity_before(node, arrays: ti.template()):
 
 @ti.func
 def moved_node(node, indices, bed, held, worker, scene, dt, kappa, arrays: ti.template()):
-    """The node `indices` of the box, shape [D], over a `bed`, with its new velocity for its momentum, and its change
-    new - kept old. held: whether solids may hold it.
-    """
+    """The node `indices`, [D], over a `bed` with its new velocity and its change; held: whether solids may hold it."""
     features = arrays.features
     mass, old = node[features.dimension], velocity_before(node, arrays)
     a, _ = acceleration(node, scene, arrays)

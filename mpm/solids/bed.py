@@ -63,10 +63,7 @@ class Bed:
         return matrix.tocsr()
 
     def contact(self, points: Floats, frictions: Floats) -> tuple[Floats, Floats, Floats]:
-        """d [m], n and the friction [-] at points [m], shape [N, 3], as the kernel finds them; [N], [N, 3], [N].
-
-        frictions: of the nodes.
-        """
+        """d [m], n and friction [-] at points [m], [N, 3], as the kernel has them of `frictions`; [N], [N, 3], [N]."""
         i, wx, sx = spline(points[:, 0], self.x, self.spacing)
         k, wz, sz = spline(points[:, 2], self.z, self.spacing)
         around = i[:, None, None] + np.arange(3)[:, None], k[:, None, None] + np.arange(3)

@@ -261,9 +261,7 @@ def nearest_face(x, last, entry, scene, arrays: ti.template()):
 
 @ti.func
 def margin(x, weights, part, a, b, c, arrays: ti.template()):
-    """How far `x` [m] may move with its foot on the same part of a face still [m], by what `foot_on_face` gives; 0 at
-    the corner of a triangle.
-    """
+    """How far `x` may move with its foot (`foot_on_face`) on the same part of a face [m]; 0 at a triangle's corner."""
     free = 0.0 * x[0]
     if ti.static(arrays.features.dimension == 2):
         along, length = b - a, (b - a).norm()

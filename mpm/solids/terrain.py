@@ -54,9 +54,7 @@ def lowest_node(x, axis: ti.template(), scene, arrays: ti.template()):
 
 @ti.func
 def place_in_bed(i, k, scene, arrays: ti.template()):
-    """Where the elevation of a node of the lattice stands in `terrain`, where its friction or the one that all have,
-    and the step to the next node along x.
-    """
+    """Places in `terrain` of a lattice node's elevation and of its friction or the bed's one; the step along x."""
     along, across = lattice_nodes(0, scene, arrays), lattice_nodes(2, scene, arrays)
     height = arrays.offsets[scene, Offset.TERRAIN] + ti.static(len(TerrainNumber)) + i * across + k
     friction = height + along * across
