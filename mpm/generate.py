@@ -118,9 +118,7 @@ def missing_entries(entries: Iterable[Entry], out: Path) -> list[Entry]:
     return [entry for path, entry in required.items() if path not in present]
 
 
-def simulate_all(
-    workers: Workers, entries: list[Entry], out: Path, *, total: int, storage: Storage | None = None
-) -> None:
+def simulate_all(workers: Workers, entries: list[Entry], out: Path, *, total: int, storage: Storage | None) -> None:
     """Simulate `entries`, of `total` in the dataset.
 
     A failed one does not stop the others; WorkFailed names it. Raises OSError where the disk is full or read-only: the

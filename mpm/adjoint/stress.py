@@ -223,9 +223,9 @@ def theta(t, s, free):
 def in_axes(m: ti.template(), axes: ti.template()):
     """A M A^T of a symmetric M as xx, yy, zz, xy, yz, zx; the rows of A are `axes`, three after three."""
     am = [
-        axes[3 * (k // 3)] * m[ti.static(component(0, k % 3, 3))]
-        + axes[3 * (k // 3) + 1] * m[ti.static(component(1, k % 3, 3))]
-        + axes[3 * (k // 3) + 2] * m[ti.static(component(2, k % 3, 3))]
+        axes[3 * (k // 3)] * m[ti.static(component(0, k % 3))]
+        + axes[3 * (k // 3) + 1] * m[ti.static(component(1, k % 3))]
+        + axes[3 * (k // 3) + 2] * m[ti.static(component(2, k % 3))]
         for k in ti.static(range(9))
     ]
     return [

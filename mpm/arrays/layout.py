@@ -293,6 +293,6 @@ def column_count(domain: Domain) -> int:
     return math.prod(nodes) // nodes[1]
 
 
-def component(i: int, j: int, dimension: int) -> int:
+def component(i: int, j: int) -> int:
     """Where sigma_ij stands among the components xx, yy, zz, xy, yz, zx; no yz, zx in 2D."""
     return i if i == j else {(0, 1): 3, (1, 2): 4, (0, 2): 5}[min(i, j), max(i, j)]

@@ -122,9 +122,9 @@ class Equilibrium:
                 for axis, (low, high) in barriers(scene, body):
                     inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
                     self.behind_barriers[inside & ~pressed[:, axis], axis] = True
-        held = (walls != 0) | self.behind_barriers | self.rough[:, None]
+        self.held = (walls != 0) | self.behind_barriers | self.rough[:, None]
         self.in_solids = self.contact.fixed_components(scene, self.nodes)
-        self.free = ~(held | self.in_solids)
+        self.free = ~(self.held | self.in_solids)
 
     def solution(self, stress: Floats) -> Floats:
         """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3], or the nearest to one."""
@@ -217,7 +217,6 @@ class Equilibrium:
         It counts unbalanced nodal forces and what no wall takes: pull, and shear beyond friction.
         """
         force = self.unbalanced(stress, self.contact.traction)
-        held = (self.walls != 0) | self.behind_barriers | self.rough[:, None]
         loose = np.abs(force[self.free]).sum()
         push = -force * self.walls
         pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
@@ -227,7 +226,7 @@ class Equilibrium:
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
         # Oblique faces hold nodes altogether; along all faces solids bear no more than friction, in the sum: single
         # nodes pull.
-        borne = np.where(self.in_solids & ~held, force, 0.0)
+        borne = np.where(self.in_solids & ~self.held, force, 0.0)
         across = (borne * self.contact.normals).sum(axis=1)
         beside = borne - across[:, None] * self.contact.normals
         along = np.linalg.norm(np.where(self.contact.across_axes, 0.0, beside), axis=1)
@@ -304,9 +303,8 @@ class Equilibrium:
         dimension, count = self.dimension, len(self.volume)
         by_axis = [self.slopes[axis * count : (axis + 1) * count] for axis in range(dimension)]
         stiff = self.volume * self.theta
-        squares = [
-            matrix.multiply(matrix).T @ np.stack([stiff * self.lame, stiff * self.shear], 1) for matrix in by_axis
-        ]
+        moduli = np.stack([stiff * self.lame, stiff * self.shear], 1)
+        squares = [matrix.multiply(matrix).T @ moduli for matrix in by_axis]
         total = sum(square[:, 1] for square in squares)
         diagonal = np.stack([squares[axis].sum(axis=1) + total for axis in range(dimension)], axis=1)
         contact = self.theta * self.lame, self.theta * self.shear

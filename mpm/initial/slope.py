@@ -147,13 +147,11 @@ def above(other: Mass, mass: Mass, scene: Scene) -> bool:
     )
 
 
-def slope_stress(
-    scene: Scene, particles: Particles, positions: Floats, share: Floats | None = None
-) -> tuple[Floats, Floats]:
+def slope_stress(scene: Scene, particles: Particles, positions: Floats, share: Floats | None) -> tuple[Floats, Floats]:
     """Of particles at `positions` [m], [N, D]: their stress [Pa], [N, 3, 3], and the shear traction of the ground on
     them [Pa], [N, D]; 0 in masses that do not begin so. A field of friction does not enter.
 
-    share: of the normal stress that grains bear beside water, [N]; all where absent.
+    share: of the normal stress that grains bear beside water, [N]; all where None.
     """
     stress, traction = np.zeros((len(positions), 3, 3)), np.zeros(positions.shape)
     for number, mass in enumerate(scene.masses):

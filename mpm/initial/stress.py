@@ -114,10 +114,9 @@ def lateral_shortfall(scene: Scene, particles: Particles, guess: Floats, stress:
         if mass.k0 is None or clings(mass):
             continue
         of_mass = particles.mass == number
+        volume = particles.volume[of_mass]
         for axis in (0, 2)[: scene.dimension - 1]:
-            required, thrust = (
-                float(particles.volume[of_mass] @ tensors[of_mass, axis, axis]) for tensors in (guess, stress)
-            )
+            required, thrust = (float(volume @ tensors[of_mass, axis, axis]) for tensors in (guess, stress))
             lacking[of_mass, axis, axis] = 1.0 - thrust / required if required < 0.0 else 0.0
     return lacking
 

@@ -142,13 +142,11 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         summary["release_time"] = [(times[k] or None) if k in times else 0.0 for k in range(len(scene.masses))]
     if batch.recording.wall_forces:
         walls = impulses[:, solids:]
-        names = DOMAIN_SIDES[: 2 * scene.dimension]
-        summary["wall_impulse"] = rounded(walls.sum(axis=1))
-        summary["side_impulse"] = {side: rounded(walls[:, number]) for number, side in enumerate(names)}
+        summary["wall_impulse"], sides = rounded(walls.sum(axis=1)), DOMAIN_SIDES[: 2 * scene.dimension]
+        summary["side_impulse"] = {side: rounded(walls[:, number]) for number, side in enumerate(sides)}
     if left := outflow(batch, index) if scene.open_sides else {}:
         summary["outflow"] = left
-    end_time = summary["end_time"]
-    kinetic = energies[:, Energy.KINETIC]
+    end_time, kinetic = summary["end_time"], energies[:, Energy.KINETIC]
     summary["remarks"] = caveats(scene, particles, deposit, kinetic=kinetic, end_time=end_time, outflow=left)
     if water := drainage(scene, end_time):
         summary["drainage"] = water

@@ -80,7 +80,7 @@ def normal_stress(stress: ti.template(), contact: ti.template(), dimension: ti.t
     for i in ti.static(range(dimension)):
         for j in ti.static(range(dimension)):
             both = contact[Contact.NORMAL + i] * contact[Contact.NORMAL + j]
-            value = value + both * stress[ti.static(component(i, j, dimension))]
+            value = value + both * stress[ti.static(component(i, j))]
     return value
 
 
@@ -233,9 +233,8 @@ def push(block, scratch, arrays: ti.template()):
     """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
     features = arrays.features
     contact = contact_of(block, arrays)
-    foot = [
-        (0.0 - contact[Contact.DISTANCE]) * contact[Contact.NORMAL + k] for k in ti.static(range(features.dimension))
-    ]
+    away = 0.0 - contact[Contact.DISTANCE]
+    foot = [away * contact[Contact.NORMAL + k] for k in ti.static(range(features.dimension))]
     pushed = surface_force(total_stress(block, foot, arrays), contact, features.dimension)
     for k in ti.static(range(2 * features.dimension)):
         arrays.scratch[scratch + features.scratch.push + k] = pushed[k]

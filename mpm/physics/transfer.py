@@ -247,7 +247,7 @@ def contributions(carried: ti.template(), mass, volume, f: ti.template(), dx, fe
     for i in ti.static(range(features.dimension)):
         for j in ti.static(range(features.dimension)):
             at = ti.static(i * features.dimension + j)
-            forces[at] = force_scale * stress[ti.static(component(i, j, features.dimension))]
+            forces[at] = force_scale * stress[ti.static(component(i, j))]
             pull[i] = pull[i] - forces[at] * f[j]
             momentum[i] = momentum[i] - slopes[at] * f[j]
     return momentum, slopes, pull, forces

@@ -68,9 +68,7 @@ class Bed:
         k, wz, sz = spline(points[:, 2], self.z, self.spacing)
         around = i[:, None, None] + np.arange(3)[:, None], k[:, None, None] + np.arange(3)
         rise = self.heights[around] - points[:, 1, None, None]
-        height, along, across = (
-            np.einsum("nij,ni,nj->n", rise, *factors) for factors in ((wx, wz), (sx, wz), (wx, sz))
-        )
+        height, along, across = (np.einsum("nij,ni,nj->n", rise, *pair) for pair in ((wx, wz), (sx, wz), (wx, sz)))
         length = np.sqrt(1.0 + along**2 + across**2)
         normal = np.stack([-along, np.ones_like(along), -across], axis=1) / length[:, None]
         friction = np.full(len(points), float(frictions.flat[0]))

@@ -125,9 +125,6 @@ class Obstacles:
     """Of the posts of their terrain [-], shape [X, Z], or [1, 1] where it is one; empty without a bed."""
 
 
-TABLES = ("faces", "cell_faces", "near_faces", "cell_distance", "node_holds", "holds", "covered")
-
-
 def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
     """The solids of several scenes in one, and where each scene's begin in `cell_faces`, `faces` and `holds`, and where
     the last one's end, shape [scenes + 1, 3].
@@ -142,9 +139,10 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
         starts = {"cell_faces": part.cell_faces + near, "node_holds": part.node_holds + hold}
         numbers = {"near_faces": part.near_faces + face, "holds": part.holds + np.array([face, 0.0, 0.0])}
         shifted.append(vars(part) | starts | numbers)
-    together: dict[str, Any] = {name: np.concatenate([tables[name] for tables in shifted]) for name in TABLES}
-    for name in ("windows", "beds", "frictions"):
-        together[name] = tuple(value for part in parts for value in getattr(part, name))
+    of_scenes = ("windows", "beds", "frictions")
+    together: dict[str, Any] = {name: sum((vars(part)[name] for part in parts), ()) for name in of_scenes}
+    for name in shifted[0].keys() - of_scenes:
+        together[name] = np.concatenate([tables[name] for tables in shifted])
     return Obstacles(**together), firsts[:, :3]
 
 
@@ -199,7 +197,7 @@ def face_lines(surface: Surface) -> Floats:
 
 
 @lru_cache(maxsize=4)
-def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: float = NO_SLIP) -> Obstacles:
+def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: float) -> Obstacles:
     """The solids with the surface `solid` in a box, listed up to `cutoff` cells from faces; runs of one geometry share
     them.
 

@@ -203,9 +203,8 @@ def test_a_cell_divides_every_side_of_the_box(lengths: tuple[float, ...], larges
     cell = fitted_cell(Domain(size=lengths, cell=0.01), largest)
     assert cell <= largest * (1.0 + 1e-9)
     # Scenes on other grids are refused.
-    dataclasses.replace(
-        SQUARE, domain=Domain(size=lengths, cell=cell), masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)),)
-    )
+    masses = (Mass(lower=(0.0, 0.0), size=(0.2, 0.2)),)
+    dataclasses.replace(SQUARE, domain=Domain(size=lengths, cell=cell), masses=masses)
 
 
 def test_masses_that_touch_are_one_body_and_a_side_from_wall_to_wall_does_not_count() -> None:

@@ -48,9 +48,7 @@ def layer(how: str = "slope_deg", friction: float = MU, **changes: Any) -> Scene
         if how == "baffle":
             solid = {"baffles": (Baffle(lower=(0.0, 0.0), **below),)}
         parts = (0.4, 0.6) if how == "stack" else (1.0,)
-        masses = [
-            Mass(lower=(10.0, 0.3 + foot), size=(40.0, y)) for y, foot in zip(parts, (0.0, parts[0]), strict=False)
-        ]
+        masses = [Mass(lower=(10.0, 0.3 + y), size=(40.0, h)) for h, y in zip(parts, (0.0, parts[0]), strict=False)]
         return scene_of(*masses, size=(60.0, 3.0), slope_deg=22.0, **solid, **settings)
     wide = () if how == "slope_deg" else (0.5,)
     mass = Mass(lower=(10.0, 0.0, *(0.0 * z for z in wide)), size=(40.0, 1.0, *wide))
@@ -100,9 +98,7 @@ def test_a_cohesive_block_that_friction_holds(k0: str | None, slides: float, ris
     """From equilibrium it stays; free of stress it shakes, and comes off its ground a little more with each swing."""
     soil = Material(friction_deg=40.0, cohesion=1.0e5, tension_cutoff=1.0e4, young=5.0e6)
     block = Mass(lower=(0.5, 0.0), size=(0.4, 0.1), k0=k0)
-    flow = simulate(
-        scene_of(block, size=(3.0, 0.6), cell=0.02, slope_deg=30.0, floor_friction=0.9, material=soil, duration=1.0)
-    )
+    flow = simulate(scene_of(block, size=(3.0, 0.6), slope_deg=30.0, floor_friction=0.9, material=soil, duration=1.0))
     moved = (flow.positions[-1] - flow.positions[0]).mean(axis=0)
     assert 0.0 <= moved[0] < slides
     assert abs(moved[1]) < rises
