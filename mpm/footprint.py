@@ -116,11 +116,9 @@ def require_memory(footprints: list[Footprint]) -> None:
     """Raise InputError where runs side by side take more memory than is free: how much, and what to change."""
     extra = sum(need.bytes - PROCESS for need in footprints)
     largest = max(footprints, key=lambda need: need.bytes)
-    memory.require(
-        extra,
-        "a run" if len(footprints) == 1 else f"{len(footprints)} runs",
-        f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame, --hdf5)",
-    )
+    runs = "a run" if len(footprints) == 1 else f"{len(footprints)} runs"
+    instead = "larger cells, fewer particles_per_axis or frames (--every, --last-frame, --hdf5)"
+    memory.require(extra, runs, f"{largest}; {instead}")
 
 
 def step_spoken(scene: Scene) -> str:
@@ -183,12 +181,9 @@ def expected(
     speed = processors * SPEED[scene.dimension] if arch == "cpu" else GPU_SPEED[scene.dimension]
     speed *= (SOLIDS if scene.baffles or scene.solids else 1.0) * (DOUBLE if precision == "f64" else 1.0)
     first, last = START[scene.dimension]
-    return Expected(
-        shortest=first + (EARLIEST if until_rest else 1.0) * work / (FAST * speed) + after,
-        longest=last + work / (SLOW * speed) + after,
-        memory=memory,
-        least=least or after > 0.0,
-    )
+    shortest = first + (EARLIEST if until_rest else 1.0) * work / (FAST * speed) + after
+    longest = last + work / (SLOW * speed) + after
+    return Expected(shortest=shortest, longest=longest, memory=memory, least=least or after > 0.0)
 
 
 def planned(scenes: Sequence[Scene]) -> tuple[float, float]:

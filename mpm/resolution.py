@@ -128,12 +128,9 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[MeasuredResoluti
 def with_resolution(scene: Scene, resolution: Resolution) -> Scene:
     """`scene` at a resolution, its grid fitted to the box and no coarser than asked; the precision is the caller's."""
     cell = fitted_cell(scene.domain, characteristic_length(scene) / resolution.cells)
-    return dataclasses.replace(
-        scene,
-        domain=dataclasses.replace(scene.domain, cell=cell),
-        particles_per_axis=resolution.particles_per_axis,
-        step_fraction=resolution.step_fraction,
-    )
+    domain, points = dataclasses.replace(scene.domain, cell=cell), resolution.particles_per_axis
+    step = resolution.step_fraction
+    return dataclasses.replace(scene, domain=domain, particles_per_axis=points, step_fraction=step)
 
 
 def fitted_cell(domain: Domain, largest: float) -> float:

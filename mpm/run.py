@@ -85,13 +85,8 @@ def command(
         raise InputError("expected one of --every and --last-frame, got both", key="--every")
     if every is not None and every < 1:
         raise InputError(f"expected a whole number from 1 on, got {every}", key="--every")
-    fields = fields or vtk
-    record = Recording(
-        frames="last" if last_frame else "all" if every is None else every,
-        fields=fields,
-        wall_forces=fields or forces,
-        until_rest=until_rest,
-    )
+    fields, frames = fields or vtk, "last" if last_frame else "all" if every is None else every
+    record = Recording(frames=frames, fields=fields, wall_forces=fields or forces, until_rest=until_rest)
     options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
     return write_flow(scene, given, out, options, hdf5=hdf5, vtk=vtk, forces=forces)
 

@@ -115,14 +115,9 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
         else:
             steps = np.arange(1, len(FIRST) + 1) / (len(FIRST) + 1)
             factors = tuple(stands * (moves / stands) ** step for step in steps.tolist())
-    return Safety(
-        factor=math.sqrt(stands * moves),
-        stands=stands,
-        moves=moves,
-        displacements=dict(sorted(displacements.items())),
-        cells=tall / scene.domain.cell,
-        seconds=time.perf_counter() - begin,
-    )
+    tried, cells = dict(sorted(displacements.items())), tall / scene.domain.cell
+    factor, seconds = math.sqrt(stands * moves), time.perf_counter() - begin
+    return Safety(factor=factor, stands=stands, moves=moves, displacements=tried, cells=cells, seconds=seconds)
 
 
 def reduced(scene: Scene, factor: float) -> Scene:

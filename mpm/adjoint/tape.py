@@ -49,12 +49,8 @@ SPARE = 1.25
 
 def check(features: Features) -> None:
     """Raise InputError where the adjoint does not know something that scenes with `features` have."""
-    require(
-        not features.pores,
-        "material.saturated",
-        "false: the adjoint has no reverse of pore water, python -m validation.loop needs none",
-        "true",
-    )
+    dry = "false: the adjoint has no reverse of pore water, python -m validation.loop needs none"
+    require(not features.pores, "material.saturated", dry, "true")
     if features.gates:
         raise InputError("expected a scene that the adjoint knows, it has no reverse of a gate yet", key="scene")
     if features.inflow:

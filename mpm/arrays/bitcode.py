@@ -40,16 +40,10 @@ def call(name: str, precision: str) -> Callable[..., None]:
         from taichi.lang import impl
         from taichi.lang.expr import make_expr_group
 
-        runtime = impl.get_runtime()
-        runtime.compiling_callable.ast_builder().insert_external_func_call(
-            0,
-            "",
-            str(FILE),
-            f"{name}_{precision}_{version()}",
-            make_expr_group(values),
-            make_expr_group([]),
-            core.DebugInfo(runtime.get_current_src_info()),
-        )
+        runtime, symbol = impl.get_runtime(), f"{name}_{precision}_{version()}"
+        given, place = make_expr_group(values), core.DebugInfo(runtime.get_current_src_info())
+        insert = runtime.compiling_callable.ast_builder().insert_external_func_call
+        insert(0, "", str(FILE), symbol, given, make_expr_group([]), place)
 
     # Taichi warns of calls of what it does not know.
     linked._is_wrapped_kernel = True  # type: ignore[attr-defined]

@@ -50,14 +50,8 @@ ADJOINT = named(
     f64_table="face_adjoints hold_adjoints terrain_adjoints drag_adjoints sums",
 )
 """What the adjoint reads and writes besides `STEP`; `mpm.adjoint.tape` makes them."""
-VIEWS = {
-    "lanes": "state",
-    "scratch_lanes": "scratch",
-    "impulse_lanes": "impulse",
-    "adjoint_lanes": "adjoints",
-    "history_lanes": "history",
-    "rows": "scratch",
-}
+VIEWS = {"lanes": "state", "scratch_lanes": "scratch", "impulse_lanes": "impulse", "rows": "scratch"}
+VIEWS |= {"adjoint_lanes": "adjoints", "history_lanes": "history"}
 """Of whose memory an array is a view."""
 
 

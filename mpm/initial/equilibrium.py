@@ -233,11 +233,8 @@ class Equilibrium:
         slides = max(float(along.sum() - self.contact.frictions @ np.maximum(-across, 0.0)), 0.0)
         missing = float(loose + pulled + slips + slides) / self.weight
         if missing > UNBALANCED:
-            warnings.warn(
-                f"no initial stress within the yield surface balances gravity: {missing:.2g} of the weight is "
-                "unbalanced at the start",
-                stacklevel=6,
-            )
+            said = f"balances gravity: {missing:.2g} of the weight is unbalanced at the start"
+            warnings.warn(f"no initial stress within the yield surface {said}", stacklevel=6)
 
     def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
         """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""

@@ -126,11 +126,8 @@ def warn_of_ratio(scene: Scene, particles: Particles, lacking: Floats) -> None:
     for number, (key, mass) in enumerate(keyed(scene, "masses").items()):
         share = float(np.abs(lacking[particles.mass == number]).max(initial=0.0))
         if share > NEAR:
-            warnings.warn(
-                f"no initial stress within the yield surface has the ratio {key}.k0 = {mass.k0:g} on this grid: "
-                f"the thrust is {100.0 * share:.2g} % off",
-                stacklevel=5,
-            )
+            said = f"the ratio {key}.k0 = {mass.k0:g} on this grid: the thrust is {100.0 * share:.2g} % off"
+            warnings.warn(f"no initial stress within the yield surface has {said}", stacklevel=5)
 
 
 def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:

@@ -43,13 +43,9 @@ class Checkpoint:
     @staticmethod
     def from_batch(batch: "Batch", *, wall_s: float) -> "Checkpoint":
         """The state of a batch of one scene; views of its arrays."""
-        return Checkpoint(
-            run=described(batch.scenes[0], batch.recording, batch.features.precision),
-            frame=batch.computed,
-            steps=int(batch.offsets[0, Offset.STEPS]),
-            wall_s=wall_s,
-            arrays=arrays_of(batch, batch.computed),
-        )
+        run, frame = described(batch.scenes[0], batch.recording, batch.features.precision), batch.computed
+        steps, arrays = int(batch.offsets[0, Offset.STEPS]), arrays_of(batch, frame)
+        return Checkpoint(run=run, frame=frame, steps=steps, wall_s=wall_s, arrays=arrays)
 
     def restore(self, batch: "Batch") -> None:
         """Bring a batch of one scene, as it is at its start, to where this run ended.

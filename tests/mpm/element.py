@@ -120,14 +120,8 @@ def follow_states(
     flags = law_of([material]).features([material], [])
     if material.law == MOHR_COULOMB:
         flags |= {"dilates": True, "cohesive": cohesive}
-    features = Features(
-        dimension=gradients.shape[1],
-        precision=precision,
-        law_name=material.law,
-        recorded=Recorded(strain=True),
-        volume_correction=corrected,
-        **flags,
-    )
+    flags |= {"law_name": material.law, "recorded": Recorded(strain=True), "volume_correction": corrected}
+    features = Features(dimension=gradients.shape[1], precision=precision, **flags)
     real = np.dtype(np.float64 if precision == "f64" else np.float32)
     width = features.stresses + 2
     stress = aligned((width, features.lanes), real)

@@ -181,12 +181,8 @@ def test_a_tolerance_is_a_percentage_or_a_fraction(text: str, value: float) -> N
 
 
 def test_the_cheapest_within_the_tolerance_is_picked() -> None:
-    measurements = [
-        measured(10, 0.06, 1.0),
-        measured(20, 0.03, 8.0),
-        measured(40, 0.015, 64.0),
-        measured(15, 0.028, 9.0, points=3),
-    ]
+    rows = (10, 0.06, 1.0), (20, 0.03, 8.0), (40, 0.015, 64.0)
+    measurements = [*(measured(*row) for row in rows), measured(15, 0.028, 9.0, points=3)]
     assert resolved(SQUARE, 0.05, measurements).cells == 20.0
     assert resolved(SQUARE, 0.029, measurements).scene.particles_per_axis == 3
     assert resolved(SQUARE, 0.015, measurements).cells == 40.0

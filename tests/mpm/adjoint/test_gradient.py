@@ -18,16 +18,9 @@ pytestmark = pytest.mark.double
 SAND = Material(friction_deg=30.0)
 WEAK = Material(friction_deg=30.0, cohesion=200.0, tension_cutoff=20.0)
 DILATING = dataclasses.replace(SOIL, dilation_deg=10.0, tension_cutoff=5.0)
-SOFTENING = Material(
-    friction_deg=35.0,
-    dilation_deg=8.0,
-    cohesion=300.0,
-    tension_cutoff=100.0,
-    softening_length=4.0e-3,
-    residual_friction_deg=25.0,
-    residual_cohesion=100.0,
-    residual_tension_cutoff=20.0,
-)
+PEAK = {"friction_deg": 35.0, "dilation_deg": 8.0, "cohesion": 300.0, "tension_cutoff": 100.0}
+RESIDUAL = {"residual_friction_deg": 25.0, "residual_cohesion": 100.0, "residual_tension_cutoff": 20.0}
+SOFTENING = Material(**PEAK, **RESIDUAL, softening_length=4.0e-3)
 CLAY = Material(law="von-mises", friction_deg=0.0, constants={"strength": 500.0, "hardening": 300.0}, young=2.0e5)
 FAST_SHEAR = {"friction_limit_deg": 45.0, "grain_diameter": 5.0e-3, "inertial_number": 0.2}
 LEAVING = (

@@ -122,17 +122,10 @@ def inputs_of(stress: Array, random: np.random.Generator, features: Features, si
     strengths = [np.sin(phi), np.sin(psi), 2.0 * cohesion * np.cos(phi), limit]
     if features.law_name == VON_MISES:
         strengths = [*random.uniform(0.5, 50.0, (2, count)), 0.0 * phi, 0.0 * phi]
-    return np.concatenate(
-        [
-            stress,
-            size * random.normal(size=(dimension**2, count)),
-            strengths,
-            [np.sin(phi) + 0.2, 10.0 ** random.uniform(-2.0, 0.0, count)]
-            if features.inertial
-            else np.zeros((2, count)),
-            YOUNG * random.uniform(0.5, 2.0, (2, count)),
-        ]
-    )
+    increments, rates = size * random.normal(size=(dimension**2, count)), np.zeros((2, count))
+    if features.inertial:
+        rates[:] = np.sin(phi) + 0.2, 10.0 ** random.uniform(-2.0, 0.0, count)
+    return np.concatenate([stress, increments, strengths, rates, YOUNG * random.uniform(0.5, 2.0, (2, count))])
 
 
 def random_stresses(width: int, count: int, random: np.random.Generator) -> Array:
