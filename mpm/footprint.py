@@ -37,8 +37,7 @@ BESIDE = 2.5  # peak over the bytes of the particles and their state
 STRESS = 4096  # bytes that an equilibrium of a mass at the start takes per particle: a factorisation
 MOST_STEPS = 2**31 - 1  # a counter's limit; at a million particle-steps a second one particle would take half an hour
 
-SPEED = {2: 35e6, 3: 15e6}
-"""Particle-steps a second on one processor, in 2D and in 3D (`python -m validation.bench speed`)."""
+SPEED = {2: 35e6, 3: 15e6}  # particle-steps a second of a processor, by dimension (`python -m validation.bench speed`)
 GPU_SPEED = {2: 350e6, 3: 120e6}  # on a GPU (`python -m validation.bench gpu`)
 SOLIDS, DOUBLE = 0.8, 0.75  # shares of the speed that are left beside solids and in f64
 SLOW, FAST = 0.4, 1.7  # speeds of machines over these: from 16 threads that wait for one memory to a thread alone
@@ -53,14 +52,10 @@ class Footprint:
     """What a run takes."""
 
     particles: int
-    nodes: tuple[int, ...]
-    """Of the box along each axis; the grid holds those near the material."""
-    frames: int
-    """With the first."""
-    steps: int
-    """At least: a frame whose particles move fast has more."""
-    bytes: int
-    """Of memory, at the peak, of the whole process."""
+    nodes: tuple[int, ...]  # of the box along each axis; the grid holds those near the material
+    frames: int  # with the first
+    steps: int  # at least: a frame whose particles move fast has more
+    bytes: int  # of memory, at the peak, of the whole process
 
     @property
     def work(self) -> float:
@@ -143,12 +138,9 @@ class Expected:
     """What work will take."""
 
     shortest: float
-    longest: float
-    """Of the range [s]."""
-    memory: float
-    """At the peak, of all processes [bytes]."""
-    least: bool = False
-    """Whether it may take longer than the range: how many runs there will be is open."""
+    longest: float  # of the range [s]
+    memory: float  # at the peak, of all processes [bytes]
+    least: bool = False  # whether it may take longer than the range: how many runs there will be is open
 
     def __str__(self) -> str:
         seconds = f"{'at least ' * self.least}{spoken(self.shortest, self.longest)}"

@@ -15,9 +15,7 @@ Arch = Literal["cpu", "cuda"]
 ARCHES: dict[Arch, str] = {"cpu": "cpu", "cuda": "cuda"}  # by the names of Taichi
 
 PARTICLES_PER_WORKER = 10_000  # the fewest particles for which another thread pays off
-
 PARTS = 4  # parts of a large scene at most, on 1, 2 and 4 threads: the result is the same to the bit on each of them
-
 STALE = 60.0  # seconds after which the lock of the cache of kernels is nobody's
 KERNELS = 2**30  # most that compiled kernels take on disk [bytes]
 

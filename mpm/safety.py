@@ -63,16 +63,11 @@ WIDEST = 64.0  # factor, or one over it, beyond which no limit is looked for
 class Safety:
     """A factor of safety, and the runs that it comes from."""
 
-    factor: float
-    """Geometric mean of the two between which the slope begins to move."""
-    stands: float
-    """The largest factor at which it stands."""
-    moves: float
-    """The smallest at which it moves."""
-    displacements: dict[float, float]
-    """Of each factor tried: how far a SHARE of the particles got [elastic settlements]."""
-    cells: float
-    """Over the height of the bodies."""
+    factor: float  # geometric mean of the two between which the slope begins to move
+    stands: float  # the largest factor at which it stands
+    moves: float  # the smallest at which it moves
+    displacements: dict[float, float]  # of each factor: how far a SHARE of the particles got [elastic settlements]
+    cells: float  # over the height of the bodies
     seconds: float
 
 

@@ -20,8 +20,7 @@ class Layout:
     """Where adjoints and the history of states lie; the kernel is compiled for it."""
 
     features: Features
-    exact: bool = False
-    """Whether the sign of local damping has the slope of the step, else a bounded one (`mpm.adjoint.grid`)."""
+    exact: bool = False  # whether damping's sign has the slope of the step, else a bounded one (`mpm.adjoint.grid`)
     impulses: bool = False  # whether the objective depends on the momentum that solids have taken
 
     _data_oriented: ClassVar[bool] = True  # tells Taichi that a kernel may hold it as a Python object of compile time

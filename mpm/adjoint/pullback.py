@@ -96,8 +96,7 @@ def selected(condition: Any, a: Any, b: Any) -> Number:
     return Number(tape, ti.select(condition, plain(a), plain(b)), first, second)
 
 
-OPERATIONS = SimpleNamespace(static=lambda value: value, sqrt=root, select=selected)
-"""What `ti` is to a traced function."""
+OPERATIONS = SimpleNamespace(static=lambda value: value, sqrt=root, select=selected)  # what `ti` is to traced functions
 
 
 @cache

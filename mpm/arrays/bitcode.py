@@ -25,8 +25,7 @@ LAYOUT = "e-m:e-p270:32:32-p271:32:32-p272:64:64-i64:64-f80:128-n8:16:32:64-S128
 """Of data in kernels on x86-64, so that LLVM has nothing to warn of."""
 SIZES = {"f32": ("float", 4), "f64": ("double", 8)}  # by precision: LLVM's name of a number, and its bytes
 PAIR, ROW = 2 * NODE, 4 * NODE  # numbers of a pair, and of a row of `to_rows`: four nodes
-WIDE, BLOCK = 64, 16
-"""Bytes of the widest vector of a processor, and of the blocks within which it moves single numbers."""
+WIDE, BLOCK = 64, 16  # bytes of a processor's widest vector, and of the blocks within which it moves single numbers
 REAL, ADDRESS = 1, 0  # a number and an address as kinds of parameters; that of a vector is its length
 
 

@@ -17,8 +17,7 @@ from mpm.arrays.layout import Contact, Precision
 from mpm.laws import law_named, law_of
 from mpm.output.recording import ALL, Recording
 
-REGISTER = 128
-"""Bytes of a vector of lanes: two registers of AVX-512, so that one is computed while the other waits for a root."""
+REGISTER = 128  # bytes of a vector of lanes: two registers of AVX-512, one computed while the other waits for a root
 
 NODE = 8  # numbers in a node, momentum, mass and force: a short vector, a power of two long
 
@@ -51,8 +50,7 @@ class Recorded:
 class Hardware:
     """What computes."""
 
-    gpu: bool = False
-    """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
+    gpu: bool = False  # a thread per particle and atomic sums; else a thread per scene or per part of it
     shared: bool = False  # one scene, on several threads
 
 

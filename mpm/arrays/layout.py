@@ -62,8 +62,7 @@ class Property(IntEnum):
     ELASTIC_TRACE = auto()  # nu / (2 E) [1/Pa]
 
 
-FRAMES_PER_CALL = 20
-"""Frames of one call of the kernel at most; after each the progress bar moves and a run can be stopped."""
+FRAMES_PER_CALL = 20  # frames of a call of the kernel at most; after it the progress bar moves and a run can be stopped
 
 
 class Offset(IntEnum):
@@ -122,8 +121,7 @@ on either side of zero."""
 
 
 BED_PER_CELL = 2  # nodes of the lattice of a terrain in 3D per cell of the grid (`mpm.solids.bed`)
-BED_FIRST = BED_PER_CELL * PADDING + 1
-"""The number along an axis of its node at the corner of the box: one lies beyond the padding."""
+BED_FIRST = BED_PER_CELL * PADDING + 1  # the number of its node at the corner of the box: one lies beyond the padding
 
 
 class TerrainNumber(IntEnum):

@@ -27,8 +27,7 @@ Floats = NDArray[np.float64]
 
 RELAXED = 1.6  # factor on the step of z, below 2
 ITERATIONS, BETWEEN = 240, 4  # steps at most, and after how many what is unbalanced is computed: a look
-PATIENCE, PROGRESS = 8, 0.8
-"""How many looks in a row may leave more than this part of the least unbalanced force so far."""
+PATIENCE, PROGRESS = 8, 0.8  # how many looks in a row may leave more than this part of the least unbalanced force
 NEARLY, ENOUGH, HASTE = 2.0e-3, 2.0e-4, 4
 """Unbalanced nodal forces, summed, over the weight: where less is left, or patience ends, nodes that walls would pull
 are freed; and below which a look without progress counts for so many: hardly anything moves then."""

@@ -29,8 +29,7 @@ from datasets.scene.particles import Particles
 Floats = NDArray[np.float64]
 
 FLAT = 5.0  # lengths over height from which on a mass is a layer and no column
-NEAR, MOST = 0.05, 0.9
-"""Distance from the ground, in cells, within which this share of a polygon's lower side lies where it is a sheet."""
+NEAR, MOST = 0.05, 0.9  # cells from the ground within which this share of a polygon's lower side lies if it is a sheet
 SAMPLES = 33  # most places along an axis at which the ground beneath a box is looked at
 LEAST = 1.0e-6  # share of the normal stress that grains bear at least
 MARGIN = 0.1  # share by which sin(phi) is reduced for K

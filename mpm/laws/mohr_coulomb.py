@@ -55,8 +55,7 @@ from mpm.physics.inertial import sin_phi_at_rate
 Floats = NDArray[np.float64]
 
 OPENS = True
-REDUCED = 1.0e-3
-"""Share by which sin(phi) is reduced for `nearest`: what converges to it lies within yield after a number of steps."""
+REDUCED = 1.0e-3  # share off sin(phi) for `nearest`: what converges to it lies within yield after a number of steps
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,16 +29,11 @@ SCALARS: dict[str, Callable[[Any], Any]] = {"run": str, "frame": int, "steps": i
 class Checkpoint:
     """A run of one scene up to a frame, in the precision of the solver, with all that it has recorded so far."""
 
-    run: str
-    """Scene, recording and precision: `described`."""
-    frame: int
-    """The last frame that was computed."""
-    steps: int
-    """Steps so far."""
-    wall_s: float
-    """What all parts of the run have taken so far [s]."""
-    arrays: dict[str, NDArray[Any]]
-    """What `arrays_of` lists."""
+    run: str  # scene, recording and precision: `described`
+    frame: int  # the last frame that was computed
+    steps: int  # so far
+    wall_s: float  # what all parts of the run have taken so far [s]
+    arrays: dict[str, NDArray[Any]]  # what `arrays_of` lists
 
     @staticmethod
     def from_batch(batch: "Batch", *, wall_s: float) -> "Checkpoint":

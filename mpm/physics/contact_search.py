@@ -43,8 +43,7 @@ from mpm.solids.terrain import bed_contact, bed_spacing, lowest_node, nine, plac
 
 FAR = 1.0e30  # distance [m] of what is not there
 MAX_CROSSINGS = 3  # faces along which the displacement of one step is led; beyond them the particle stays where it was
-LONGER = 0.25
-"""Cells beyond the distance that is searched up to which a face is followed: particles that hover there need none."""
+LONGER = 0.25  # cells beyond the searched distance up to which a face is followed: what hovers there searches none
 
 
 @ti.func

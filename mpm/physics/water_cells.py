@@ -14,8 +14,7 @@ from mpm.arrays.layout import PADDING, Beside, Face, Offset, Pore, Setting, Span
 from mpm.physics.boundary import is_wall
 from mpm.physics.grid import has_node, own_node, owner_of, owns
 
-FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12
-"""Sweeps: so many, more by the coefficient of the Laplacian over dx^2, at most."""
+FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12  # so many, more by the Laplacian's coefficient over dx^2, at most
 
 
 @ti.func

@@ -10,8 +10,7 @@ from mpm.arrays.layout import FIRST_FACE, PADDING, Offset, Setting
 from mpm.solids.terrain import in_terrain
 
 SKIN = 1.0e-3  # cells by which rounding may have put a particle behind the face it rests on
-SLACK = 0.25
-"""Cells by which a particle may be beside its cell and find the nearest face in the list of that cell still."""
+SLACK = 0.25  # cells by which a particle may be beside its cell and find the nearest face in its list still
 TINY = 1.0e-20  # keeps quotients finite
 
 

@@ -117,12 +117,10 @@ class Obstacles:
     cell_distance: Array  # no point of a cell is nearer to a face that its list is without [m], shape [C + 1]
     node_holds: Array  # where those of each node begin in `holds`, shape [C + 1]
     holds: Array  # of each hold its face, the friction there [-] and its share [-], shape [K, 3]
-    covered: Array
-    """Of each node the sides of the box that a solid covers, bit k for side k of x-, x+, y-, ..., shape [C + 1]."""
+    covered: Array  # of each node the sides of the box that a solid covers, bit k for x-, x+, y-, ..., shape [C + 1]
     windows: tuple[Window, ...]  # of each scene
     beds: tuple[Bed | None, ...]  # of each scene
-    frictions: tuple[Floats, ...]
-    """Of the posts of their terrain [-], shape [X, Z], or [1, 1] where it is one; empty without a bed."""
+    frictions: tuple[Floats, ...]  # of the posts of their terrain [-], [X, Z]; [1, 1] where it is one; empty without
 
 
 def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:

@@ -227,8 +227,7 @@ def test_the_default_relaxation_scales_with_the_flow() -> None:
     assert fronts[1] == pytest.approx(10.0 * fronts[0], rel=1e-3)
 
 
-WALLED = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisson=0.3, young=1.0e7)
-"""Too strong to yield: an elastic solid."""
+WALLED = dataclasses.replace(FIRM, poisson=0.3, young=1.0e7)
 
 
 @pytest.mark.parametrize(("friction_deg", "floor"), [(0.0, 0.1), (20.0, 0.1), (20.0, 0.0), (60.0, 0.1)])
