@@ -212,13 +212,7 @@ def simulate_each(scenes: Sequence[Scene | str | Path], **options: Unpack[Option
 
 
 def run_batch(
-    batch: Batch,
-    arch: Arch,
-    bar: "tqdm[None]",
-    stop: Callable[[], bool],
-    *,
-    threads: int | None = None,
-    say: bool = False,
+    batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bool], *, threads: int | None = None, say: bool
 ) -> tuple[float, float]:
     """Run all scenes of a batch until their ends or until asked to stop; seconds to compute and to compile.
 

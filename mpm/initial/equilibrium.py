@@ -21,6 +21,7 @@ from mpm.physics.pore_pressure import COVERED
 from mpm.solids.obstacles import contact_delta, covered_at, from_wall
 
 Floats = NDArray[np.float64]
+Operator = Callable[[Floats], Floats]
 
 ITERATIONS = 100  # solutions for an unbalanced force at most
 PATIENCE, PROGRESS = 10, 0.9  # how many in a row may leave more than this part of the least unbalanced force so far
@@ -295,7 +296,7 @@ class Equilibrium:
         stress[yields] = pressure + factor[:, None, None] * (stress[yields] - pressure)
         return stress
 
-    def preconditioner(self) -> Callable[[Floats], Floats]:
+    def preconditioner(self) -> Operator:
         """An approximate inverse of K: its diagonal, and the factorised block of the nodes `direct`."""
         dimension, count = self.dimension, len(self.volume)
         by_axis = [self.slopes[axis * count : (axis + 1) * count] for axis in range(dimension)]
@@ -345,10 +346,7 @@ def in_axes(axes: Floats, principal: Floats) -> Floats:
 
 
 def conjugate_gradients(
-    matrix: Callable[[Floats], Floats],
-    force: Floats,
-    precondition: Callable[[Floats], Floats],
-    accuracy: float = ACCURACY,
+    matrix: Operator, force: Floats, precondition: Operator, accuracy: float = ACCURACY
 ) -> tuple[Floats, int]:
     """u with matrix(u) = force to a relative residual of `accuracy` (Hestenes & Stiefel 1952), and the steps taken."""
     solution, residual = np.zeros_like(force), force.copy()

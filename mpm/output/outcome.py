@@ -21,6 +21,8 @@ from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
 
+Floats = NDArray[np.floating]
+
 MOVING = "not at rest"  # how the remark on a flow that still moves at its end begins
 AT_REST = 1e-3  # kinetic energy of a deposit at rest, over its largest, at most
 SLOW = 2e-3  # root mean square speed below which nothing moves, over sqrt(g H), H the height of the body at the start
@@ -59,7 +61,7 @@ def failure(batch: Batch, index: int) -> WorkFailed | None:
     )
 
 
-def fastest(velocities: NDArray[np.floating]) -> float:
+def fastest(velocities: Floats) -> float:
     """The largest speed [m/s] of velocities [N, D]; nan where one is."""
     return float(np.linalg.norm(velocities.astype(np.float64), axis=1).max())
 
@@ -175,13 +177,7 @@ def still_moves(summary: Mapping[str, Any]) -> bool:
 
 
 def caveats(
-    scene: Scene,
-    particles: Particles,
-    deposit: NDArray[np.floating],
-    *,
-    kinetic: NDArray[np.floating],
-    end_time: float,
-    outflow: Mapping[str, float],
+    scene: Scene, particles: Particles, deposit: Floats, *, kinetic: Floats, end_time: float, outflow: dict[str, float]
 ) -> list[str]:
     """Lines on a flow of `particles`, none where all is well.
 
