@@ -50,7 +50,7 @@ def touched(block: ti.template(), arrays: ti.template()):
 def solids_reverse(adj, v, mass, node, worker, scene, arrays: ti.template()):
     """Adjoints of a node's velocity `v` before `mpm.physics.contact.apply_solids`, shape [D], and of its mass.
 
-    adjoint: of the velocity after it; node: its index, [D]. Adds the adjoints of the holds and of their faces' normals.
+    adj: of the velocity after it; node: its index, [D]. Adds the adjoints of the holds and of their faces' normals.
     """
     features = arrays.features
     adj_mass, entry = 0.0 * mass, entry_of(node, scene, arrays)

@@ -181,7 +181,7 @@ def plastic_return_reverse(
 ):
     """Adjoints of the trial stress, of the `strengths` of its law and of (lambda, mu), a list each.
 
-    adjoint: of what `mpm.physics.stress.plastic_return` gives: stress, plastic strain and what opened.
+    adj: of what `mpm.physics.stress.plastic_return` gives: stress, plastic strain and what opened.
     """
     adj_strain, adj_opened = adj[features.stresses], adj[features.stresses + 1]
     if ti.static(hasattr(features.law, "return_tensor")):

@@ -190,7 +190,7 @@ class Energy(IntEnum):
     KINETIC = 0
     POTENTIAL = auto()
     ELASTIC = auto()
-    UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where `rests`; else 0
+    UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where runs end at rest; else 0
 
 
 class Pore(IntEnum):

@@ -323,7 +323,7 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
 
 
 def contact_delta(distance: Floats, width: float) -> Floats:
-    """delta_h [1/m] of distances [m], as `mpm.physics.pore_pressure.contact_delta` has it."""
+    """delta_h [1/m] of distances [m], as `mpm.physics.boundary.contact_delta` has it."""
     q = np.clip(distance / width, 0.0, 1.0)
     return np.asarray(2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q)))
 
