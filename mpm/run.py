@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming
@@ -85,7 +85,8 @@ def command(
         raise InputError("expected one of --every and --last-frame, got both", key="--every")
     if every is not None and every < 1:
         raise InputError(f"expected a whole number from 1 on, got {every}", key="--every")
-    fields, frames = fields or vtk, "last" if last_frame else "all" if every is None else every
+    fields = fields or vtk
+    frames: Literal["all", "last"] | int = "last" if last_frame else "all" if every is None else every
     record = Recording(frames=frames, fields=fields, wall_forces=fields or forces, until_rest=until_rest)
     options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
     return write_flow(scene, given, out, options, hdf5=hdf5, vtk=vtk, forces=forces)
