@@ -32,31 +32,19 @@ from mpm.resolution import particle_steps
 from mpm.runtime import Arch
 from mpm.solids.obstacles import farthest, window_around
 
-PROCESS = 240 * 2**20
-"""Bytes of a process with Taichi and a kernel."""
-BESIDE = 2.5
-"""Peak over the bytes of the particles and their state."""
-STRESS = 4096
-"""Bytes that an equilibrium of a mass at the start takes per particle: a factorisation."""
-MOST_STEPS = 2**31 - 1
-"""A counter's limit; at a million particle-steps a second one particle would take half an hour."""
+PROCESS = 240 * 2**20  # bytes of a process with Taichi and a kernel
+BESIDE = 2.5  # peak over the bytes of the particles and their state
+STRESS = 4096  # bytes that an equilibrium of a mass at the start takes per particle: a factorisation
+MOST_STEPS = 2**31 - 1  # a counter's limit; at a million particle-steps a second one particle would take half an hour
 
-SPEED = {2: 35e6, 3: 15e6}
-"""Particle-steps a second on one processor, in 2D and in 3D (`python -m validation.bench speed`)."""
-GPU_SPEED = {2: 350e6, 3: 120e6}
-"""On a GPU (`python -m validation.bench gpu`)."""
-SOLIDS, DOUBLE = 0.8, 0.75
-"""Shares of the speed that are left beside solids and in f64."""
-SLOW, FAST = 0.4, 1.7
-"""Speeds of machines over these: from 16 threads that wait for one memory to a thread alone."""
-START = {2: (1.0, 8.0), 3: (2.0, 15.0)}
-"""Seconds of a start, from kernels that are on disk to those that are compiled."""
-EARLIEST = 0.5
-"""Share of the steps after which flows are taken to rest, where runs end then."""
-MUCH = 10.0
-"""Young's modulus over what the flow needs, from which on a softer material is worth a word."""
-INVERSION = 250 * 2**20
-"""Bytes of PyTorch and of an inversion in a process that also runs the MPM."""
+SPEED = {2: 35e6, 3: 15e6}  # particle-steps a second of a processor, by dimension (`python -m validation.bench speed`)
+GPU_SPEED = {2: 350e6, 3: 120e6}  # on a GPU (`python -m validation.bench gpu`)
+SOLIDS, DOUBLE = 0.8, 0.75  # shares of the speed that are left beside solids and in f64
+SLOW, FAST = 0.4, 1.7  # speeds of machines over these: from 16 threads that wait for one memory to a thread alone
+START = {2: (1.0, 8.0), 3: (2.0, 15.0)}  # seconds of a start, from kernels that are on disk to those that are compiled
+EARLIEST = 0.5  # share of the steps after which flows are taken to rest, where runs end then
+MUCH = 10.0  # Young's modulus over what the flow needs, from which on a softer material is worth a word
+INVERSION = 250 * 2**20  # bytes of PyTorch and of an inversion in a process that also runs the MPM
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,14 +52,10 @@ class Footprint:
     """What a run takes."""
 
     particles: int
-    nodes: tuple[int, ...]
-    """Of the box along each axis; the grid holds those near the material."""
-    frames: int
-    """With the first."""
-    steps: int
-    """At least: a frame whose particles move fast has more."""
-    bytes: int
-    """Of memory, at the peak, of the whole process."""
+    nodes: tuple[int, ...]  # of the box along each axis; the grid holds those near the material
+    frames: int  # with the first
+    steps: int  # at least: a frame whose particles move fast has more
+    bytes: int  # of memory, at the peak, of the whole process
 
     @property
     def work(self) -> float:
@@ -92,10 +76,7 @@ def footprint(
     gpu: bool = False,
     in_file: bool = False,
 ) -> Footprint:
-    """What a run of `scene` on so many `workers` takes, its frames in a file or in memory.
-
-    Raises InputError for one that no machine could make.
-    """
+    """What a run on so many `workers` takes, frames in a file or in memory. Raises InputError for an endless one."""
     features = features_of([scene], precision, record=record, shared=workers > 1, gpu=gpu)
     substeps = substeps_per_frame(scene, [scene.material_of(mass) for mass in scene.masses])
     steps = substeps * (scene.frames - 1)
@@ -130,11 +111,9 @@ def require_memory(footprints: list[Footprint]) -> None:
     """Raise InputError where runs side by side take more memory than is free: how much, and what to change."""
     extra = sum(need.bytes - PROCESS for need in footprints)
     largest = max(footprints, key=lambda need: need.bytes)
-    memory.require(
-        extra,
-        "a run" if len(footprints) == 1 else f"{len(footprints)} runs",
-        f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame, --hdf5)",
-    )
+    runs = "a run" if len(footprints) == 1 else f"{len(footprints)} runs"
+    instead = "larger cells, fewer particles_per_axis or frames (--every, --last-frame, --hdf5)"
+    memory.require(extra, runs, f"{largest}; {instead}")
 
 
 def step_spoken(scene: Scene) -> str:
@@ -159,12 +138,9 @@ class Expected:
     """What work will take."""
 
     shortest: float
-    longest: float
-    """Of the range [s]."""
-    memory: float
-    """At the peak, of all processes [bytes]."""
-    least: bool = False
-    """Whether it may take longer than the range: how many runs there will be is open."""
+    longest: float  # of the range [s]
+    memory: float  # at the peak, of all processes [bytes]
+    least: bool = False  # whether it may take longer than the range: how many runs there will be is open
 
     def __str__(self) -> str:
         seconds = f"{'at least ' * self.least}{spoken(self.shortest, self.longest)}"
@@ -197,12 +173,9 @@ def expected(
     speed = processors * SPEED[scene.dimension] if arch == "cpu" else GPU_SPEED[scene.dimension]
     speed *= (SOLIDS if scene.baffles or scene.solids else 1.0) * (DOUBLE if precision == "f64" else 1.0)
     first, last = START[scene.dimension]
-    return Expected(
-        shortest=first + (EARLIEST if until_rest else 1.0) * work / (FAST * speed) + after,
-        longest=last + work / (SLOW * speed) + after,
-        memory=memory,
-        least=least or after > 0.0,
-    )
+    shortest = first + (EARLIEST if until_rest else 1.0) * work / (FAST * speed) + after
+    longest = last + work / (SLOW * speed) + after
+    return Expected(shortest=shortest, longest=longest, memory=memory, least=least or after > 0.0)
 
 
 def planned(scenes: Sequence[Scene]) -> tuple[float, float]:

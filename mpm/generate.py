@@ -24,10 +24,8 @@ from datasets.scene.particles import mass_counts
 from mpm.cluster import QUEUED, Workers, connected, pool
 from mpm.footprint import PROCESS, expected, planned
 
-MOST_JOBS = 1000
-"""Processes of one machine."""
-TIMINGS = ("wall_s", "compile_s")
-"""Keys of a summary that differ from run to run; the files of a dataset must not."""
+MOST_JOBS = 1000  # processes of one machine
+TIMINGS = ("wall_s", "compile_s")  # keys of a summary that differ from run to run; the files of a dataset must not
 
 
 def command(
@@ -120,9 +118,7 @@ def missing_entries(entries: Iterable[Entry], out: Path) -> list[Entry]:
     return [entry for path, entry in required.items() if path not in present]
 
 
-def simulate_all(
-    workers: Workers, entries: list[Entry], out: Path, *, total: int, storage: Storage | None = None
-) -> None:
+def simulate_all(workers: Workers, entries: list[Entry], out: Path, *, total: int, storage: Storage | None) -> None:
     """Simulate `entries`, of `total` in the dataset.
 
     A failed one does not stop the others; WorkFailed names it. Raises OSError where the disk is full or read-only: the

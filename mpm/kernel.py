@@ -44,21 +44,16 @@ ITERATIONS = 512
 """The fewest iterations of a loop that Taichi gives to a thread: with fewer, one thread would get the work of several,
 run it in turn, and in a shared scene wait for itself. All of a thread's work is in the first of its iterations."""
 
-SUMMED = 32
-"""Particles over which a thread of a GPU takes a sum or a maximum of its own, before that of all threads."""
+SUMMED = 32  # particles over which a thread of a GPU takes a sum or a maximum of its own, before that of all threads
 
 
 class Phase(Enum):
     """What a call of the kernel computes."""
 
-    FRAMES = auto()
-    """Each scene's frames from `Offset.NEXT` to before `last`, on the threads of a CPU."""
-    SPEED = auto()
-    """The number of steps that each scene needs for its next frame."""
-    STEP = auto()
-    """One step of every scene whose dt is not zero; `last` is the largest number of nodes of a scene."""
-    RECORD = auto()
-    """Record frame `first` of every scene that still moves."""
+    FRAMES = auto()  # each scene's frames from `Offset.NEXT` to before `last`, on the threads of a CPU
+    SPEED = auto()  # the number of steps that each scene needs for its next frame
+    STEP = auto()  # one step of every scene whose dt is not zero; `last` is the largest number of nodes of a scene
+    RECORD = auto()  # record frame `first` of every scene that still moves
 
 
 @ti.func

@@ -70,13 +70,6 @@ class MeasuredResolution(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measurements(Record):
-    """The contents of `resolution.toml`."""
-
-    measured: tuple[MeasuredResolution, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Resolved:
     """A scene at the resolution that a tolerance requires, and what to expect of it."""
 
@@ -103,9 +96,9 @@ class Resolved:
         )
 
 
-def read_measured() -> tuple[MeasuredResolution, ...]:
-    """The measurements that ship with the solver."""
-    return from_mapping(Measurements, read_toml(MEASURED)).measured
+def read_measured(path: Path = MEASURED) -> tuple[MeasuredResolution, ...]:
+    """The measurements of a file, of that which ships with the solver unless given."""
+    return tuple(from_mapping(MeasuredResolution, entry) for entry in read_toml(path)["measured"])
 
 
 def read_tolerance(text: str) -> float:
@@ -121,9 +114,8 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[MeasuredResoluti
     Only what was measured is picked, in scenes of the same dimension, never an interpolation; `measured` defaults to
     what ships. Raises InputError for a tolerance below the best that was measured.
     """
-    candidates = [
-        entry for entry in (read_measured() if measured is None else measured) if entry.dimension == scene.dimension
-    ]
+    measured = read_measured() if measured is None else measured
+    candidates = [entry for entry in measured if entry.dimension == scene.dimension]
     best = min((entry.promised for entry in candidates), default=math.inf)
     tightest = f"at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured"
     require(best <= tolerance, "--tolerance", tightest, f"{100 * tolerance:.3g}%")
@@ -136,12 +128,9 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[MeasuredResoluti
 def with_resolution(scene: Scene, resolution: Resolution) -> Scene:
     """`scene` at a resolution, its grid fitted to the box and no coarser than asked; the precision is the caller's."""
     cell = fitted_cell(scene.domain, characteristic_length(scene) / resolution.cells)
-    return dataclasses.replace(
-        scene,
-        domain=dataclasses.replace(scene.domain, cell=cell),
-        particles_per_axis=resolution.particles_per_axis,
-        step_fraction=resolution.step_fraction,
-    )
+    domain, points = dataclasses.replace(scene.domain, cell=cell), resolution.particles_per_axis
+    step = resolution.step_fraction
+    return dataclasses.replace(scene, domain=domain, particles_per_axis=points, step_fraction=step)
 
 
 def fitted_cell(domain: Domain, largest: float) -> float:

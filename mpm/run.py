@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming
@@ -20,7 +20,7 @@ from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from datasets.scene.particles import particle_count
 from mpm.arrays.layout import Precision
-from mpm.footprint import Footprint, expected, footprint, step_spoken
+from mpm.footprint import expected, footprint, step_spoken
 from mpm.output.checkpoint import Checkpoint, described
 from mpm.output.recording import Recording
 from mpm.resolution import read_tolerance, resolved
@@ -86,40 +86,23 @@ def command(
     if every is not None and every < 1:
         raise InputError(f"expected a whole number from 1 on, got {every}", key="--every")
     fields = fields or vtk
-    record = Recording(
-        frames="last" if last_frame else "all" if every is None else every,
-        fields=fields,
-        wall_forces=fields or forces,
-        until_rest=until_rest,
-    )
-    workers = parts_for(particle_count(given)) if arch == "cpu" else 1
-    appended = hdf5 and not record.fields and not last_frame and arch == "cpu"
-    with naming(Path(scene)):
-        plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)
+    frames: Literal["all", "last"] | int = "last" if last_frame else "all" if every is None else every
+    record = Recording(frames=frames, fields=fields, wall_forces=fields or forces, until_rest=until_rest)
     options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
-    return write_flow(given, out, plan, options, workers=workers, hdf5=hdf5, appended=appended, vtk=vtk, forces=forces)
+    return write_flow(scene, given, out, options, hdf5=hdf5, vtk=vtk, forces=forces)
 
 
-def write_flow(
-    scene: Scene,
-    out: Path,
-    plan: Footprint,
-    options: "Options",
-    *,
-    workers: int,
-    hdf5: bool,
-    appended: bool,
-    vtk: bool,
-    forces: bool,
-) -> int:
-    """Simulate a scene, from a checkpoint where there is one, and write what `command` says; returns the exit status.
-
-    appended: frame by frame, to HDF5.
-    """
+def write_flow(name: str, scene: Scene, out: Path, options: "Options", *, hdf5: bool, vtk: bool, forces: bool) -> int:
+    """Simulate the scene of `name`, from a checkpoint if there is one, and write what `command` says; its status."""
+    record, precision, gpu = options["record"], options["precision"], options["arch"] != "cpu"
+    workers = 1 if gpu else parts_for(particle_count(scene))
+    # Frame by frame, to HDF5.
+    appended = hdf5 and not (record.fields or record.every == 0 or gpu)
+    with naming(Path(name)):
+        plan = footprint(scene, record=record, precision=precision, workers=workers, gpu=gpu, in_file=appended)
     # Imported here: --help needs no compiler.
     from mpm.simulation import Interrupted, simulate
 
-    record, precision, arch = options["record"], options["precision"], options["arch"]
     file, frames = out / "checkpoint.npz", out / f"trajectory{HDF5}"
     start = Checkpoint.load(file) if file.exists() else None
     if start is not None and start.run != described(scene, record, precision):
@@ -128,7 +111,7 @@ def write_flow(
     if start is not None and frames.exists():
         start.arrays["positions"] = open_trajectory(frames).positions
     work = plan.work * (1.0 if start is None else 1.0 - start.frame / max(1, scene.frames - 1))
-    machine: dict[str, Any] = {"processors": workers, "precision": precision, "arch": arch}
+    machine: dict[str, Any] = {"processors": workers, "precision": precision, "arch": options["arch"]}
     price = expected(scene, work, memory=plan.bytes, until_rest=record.until_rest, **machine)
     make_folder(out)
     print(f"{plan}; {step_spoken(scene)}; {price}", flush=True)
@@ -170,10 +153,7 @@ def write_flow(
 
 
 def print_summary(summary: Mapping[str, Any], out: Path, *, asked: bool) -> None:
-    """Where the flow came to rest, what it cost, how to look at it, and what must be known of it besides.
-
-    asked: for a flow at rest.
-    """
+    """Where the flow came to rest, if `asked` for, what it cost, how to look at it, and what must be known besides."""
     rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
     rest = "not at rest when its duration ended, " if asked else ""
     if summary["rest_time"] is not None:

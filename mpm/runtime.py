@@ -12,19 +12,12 @@ from datasets.processes import processors
 from mpm.arrays.layout import Precision
 
 Arch = Literal["cpu", "cuda"]
-ARCHES: dict[Arch, str] = {"cpu": "cpu", "cuda": "cuda"}
-"""By the names of Taichi."""
+ARCHES: dict[Arch, str] = {"cpu": "cpu", "cuda": "cuda"}  # by the names of Taichi
 
-PARTICLES_PER_WORKER = 10_000
-"""The fewest particles for which another thread pays off."""
-
-PARTS = 4
-"""Parts of a large scene at most, on 1, 2 and 4 threads: the result is the same to the bit on each of them."""
-
-STALE = 60.0
-"""Seconds after which the lock of the cache of kernels is nobody's."""
-KERNELS = 2**30
-"""Most that compiled kernels take on disk [bytes]."""
+PARTICLES_PER_WORKER = 10_000  # the fewest particles for which another thread pays off
+PARTS = 4  # parts of a large scene at most, on 1, 2 and 4 threads: the result is the same to the bit on each of them
+STALE = 60.0  # seconds after which the lock of the cache of kernels is nobody's
+KERNELS = 2**30  # most that compiled kernels take on disk [bytes]
 
 _running: tuple[Precision, int, Arch] | None = None
 
@@ -101,10 +94,7 @@ def workers_for(particles: int, threads: int | None = None) -> int:
 
 
 def parts_for(particles: int, threads: int | None = None) -> int:
-    """Parts that one scene of so many particles is computed in, by at most so many threads, all processors by default.
-
-    A thread computes one or several of them.
-    """
+    """Parts, one or several a thread, in which a scene of so many particles is computed by at most so many threads."""
     threads = threads or processors()
     if PARTS % threads > 0:
         return workers_for(particles, threads)

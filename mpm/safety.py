@@ -49,38 +49,25 @@ from mpm.laws.mohr_coulomb import flatter
 from mpm.output.recording import Recording
 from mpm.simulation import Options, simulate_many
 
-TIME = 3.0
-"""Of a run, over sqrt(H / g)."""
-MOVED = 2.0
-"""Least displacement of a slope that moves, in elastic settlements."""
-SLUMPED = 50.0
-"""That of a slope that has moved, whether it goes on or not."""
-SHARE = 0.05
-"""Of the particles that must have moved so far."""
-SETTLEMENT = 4.0e-4
-"""Elastic settlement over the height."""
-FRAMES = 50
-"""Of a run: so often the step follows the speed."""
-FIRST = (0.5, 0.8, 1.25, 2.0)
-"""Factors of the first batch; as many are in every other one."""
-WIDEST = 64.0
-"""Factor, or one over it, beyond which no limit is looked for."""
+TIME = 3.0  # of a run, over sqrt(H / g)
+MOVED = 2.0  # least displacement of a slope that moves, in elastic settlements
+SLUMPED = 50.0  # that of a slope that has moved, whether it goes on or not
+SHARE = 0.05  # of the particles that must have moved so far
+SETTLEMENT = 4.0e-4  # elastic settlement over the height
+FRAMES = 50  # of a run: so often the step follows the speed
+FIRST = (0.5, 0.8, 1.25, 2.0)  # factors of the first batch; as many are in every other one
+WIDEST = 64.0  # factor, or one over it, beyond which no limit is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
 class Safety:
     """A factor of safety, and the runs that it comes from."""
 
-    factor: float
-    """Geometric mean of the two between which the slope begins to move."""
-    stands: float
-    """The largest factor at which it stands."""
-    moves: float
-    """The smallest at which it moves."""
-    displacements: dict[float, float]
-    """Of each factor tried: how far a SHARE of the particles got [elastic settlements]."""
-    cells: float
-    """Over the height of the bodies."""
+    factor: float  # geometric mean of the two between which the slope begins to move
+    stands: float  # the largest factor at which it stands
+    moves: float  # the smallest at which it moves
+    displacements: dict[float, float]  # of each factor: how far a SHARE of the particles got [elastic settlements]
+    cells: float  # over the height of the bodies
     seconds: float
 
 
@@ -123,14 +110,9 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
         else:
             steps = np.arange(1, len(FIRST) + 1) / (len(FIRST) + 1)
             factors = tuple(stands * (moves / stands) ** step for step in steps.tolist())
-    return Safety(
-        factor=math.sqrt(stands * moves),
-        stands=stands,
-        moves=moves,
-        displacements=dict(sorted(displacements.items())),
-        cells=tall / scene.domain.cell,
-        seconds=time.perf_counter() - begin,
-    )
+    tried, cells = dict(sorted(displacements.items())), tall / scene.domain.cell
+    factor, seconds = math.sqrt(stands * moves), time.perf_counter() - begin
+    return Safety(factor=factor, stands=stands, moves=moves, displacements=tried, cells=cells, seconds=seconds)
 
 
 def reduced(scene: Scene, factor: float) -> Scene:

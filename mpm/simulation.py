@@ -212,13 +212,7 @@ def simulate_each(scenes: Sequence[Scene | str | Path], **options: Unpack[Option
 
 
 def run_batch(
-    batch: Batch,
-    arch: Arch,
-    bar: "tqdm[None]",
-    stop: Callable[[], bool],
-    *,
-    threads: int | None = None,
-    say: bool = False,
+    batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bool], *, threads: int | None = None, say: bool
 ) -> tuple[float, float]:
     """Run all scenes of a batch until their ends or until asked to stop; seconds to compute and to compile.
 
@@ -287,10 +281,7 @@ class Crew:
         self.wait, self.patience = 0.0, 1.0
 
     def choose(self, wall: float, used: float) -> None:
-        """Choose the number of threads of the next call from the last one.
-
-        wall: seconds that it took; used: seconds of all processors together.
-        """
+        """Choose the threads of the next call: the last took `wall` seconds, and `used` seconds of all processors."""
         if self.shared and self.threads > 1 and wall > SHORT and self.threads - used / wall > 0.5:
             self.threads, self.wait = self.threads // 2, self.patience
             self.patience = min(2.0 * self.patience, PATIENCE)

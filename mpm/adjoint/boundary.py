@@ -15,9 +15,7 @@ from mpm.physics.boundary import apply_walls, friction_of, stopping_side
 
 @ti.func
 def wall_reverse(adj, v_star, node, cells, scene, arrays: ti.template()):
-    """Adjoints of the velocity `v_star` before all walls, shape [D], and of the friction of floor and of walls; from
-    that of the velocity after them.
-    """
+    """Adjoints of `v_star` before all walls, [D], of the friction of floor and of walls, from that of v after them."""
     dimension = ti.static(arrays.features.dimension)
     adj_floor, adj_wall, into = 0.0 * adj[0], 0.0 * adj[0], 0.0 * adj
     for reverse in ti.static(range(dimension)):

@@ -50,7 +50,7 @@ def touched(block: ti.template(), arrays: ti.template()):
 def solids_reverse(adj, v, mass, node, worker, scene, arrays: ti.template()):
     """Adjoints of a node's velocity `v` before `mpm.physics.contact.apply_solids`, shape [D], and of its mass.
 
-    adjoint: of the velocity after it; node: its index, [D]. Adds the adjoints of the holds and of their faces' normals.
+    adj: of the velocity after it; node: its index, [D]. Adds the adjoints of the holds and of their faces' normals.
     """
     features = arrays.features
     adj_mass, entry = 0.0 * mass, entry_of(node, scene, arrays)
@@ -58,7 +58,9 @@ def solids_reverse(adj, v, mass, node, worker, scene, arrays: ti.template()):
     adj_left = adj
     if ti.static(features.terrain):
         # What listed faces leave of it.
-        left = apply_holds(v, first, end, arrays)
+        left = v
+        for hold in range(first, end):
+            left = left - removed_by(hold, v, arrays)[1]
         adj_removed = 0.0 - adj
         if ti.static(arrays.layout.impulses):
             adj_momentum = impulse_adjoint(arrays.offsets[scene, Offset.TERRAIN_SOLID], worker, arrays)
@@ -83,16 +85,6 @@ def solids_reverse(adj, v, mass, node, worker, scene, arrays: ti.template()):
             arrays.hold_adjoints[hold, 1] += ti.cast(adj_friction, ti.f64)
             arrays.hold_adjoints[hold, 2] += ti.cast(adj_share, ti.f64)
     return adj_v, adj_mass
-
-
-@ti.func
-def apply_holds(v, first, end, arrays: ti.template()):
-    """A velocity `v` [m/s] less what the holds from `first` to before `end` take of it."""
-    left = v
-    for hold in range(first, end):
-        _, removed = removed_by(hold, v, arrays)
-        left = left - removed
-    return left
 
 
 @ti.func

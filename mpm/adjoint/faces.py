@@ -37,8 +37,7 @@ from mpm.solids.terrain import (
     varied_friction,
 )
 
-PUT_BACK = 1.0e-6
-"""Distance from a face [cells] within which a particle has been put back onto it."""
+PUT_BACK = 1.0e-6  # distance from a face [cells] within which a particle has been put back onto it
 
 
 @ti.func
@@ -58,11 +57,8 @@ def found_reverse(block: ti.template(), put_back: ti.template(), arrays: ti.temp
     for lane in range(lanes):
         here = arrays.lanes[(block.state + features.state.present) * lanes + lane]
         adj_at, then = block.adj * lanes + lane, block.after * lanes + lane
-        at, contact, scratch = (
-            adj_at + contacts,
-            then + contacts,
-            (block.scratch + layout.scratch.before) * lanes + lane,
-        )
+        at, contact = adj_at + contacts, then + contacts
+        scratch = (block.scratch + layout.scratch.before) * lanes + lane
         delta = arrays.history_lanes[contact + Contact.DELTA * lanes]
         adj_x = lane_numbers(arrays.adjoint_lanes, adj_at, arrays)
         adj_v = lane_numbers(arrays.adjoint_lanes, adj_at + velocity, arrays)
@@ -255,9 +251,7 @@ def add_face(face, column: ti.template(), value, arrays: ti.template()):
 
 @ti.func
 def hold_reverse(adj, v, normal, friction, share):
-    """Adjoints of a node's velocity `v` [m/s], of the normal, the friction and the share of a hold, from that of what
-    this takes of it, share (v - A v).
-    """
+    """Adjoints of a node's `v` [m/s], normal, friction and share of a hold, from that of share (v - A v)."""
     through, adj_normal, adj_friction = after_contact_reverse((0.0 - share) * adj, v, normal, friction)
     return share * adj + through, adj_normal, adj_friction, adj.dot(v - after_contact(v, normal, friction))
 

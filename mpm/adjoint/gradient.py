@@ -119,14 +119,10 @@ class Gradient(RunNumbers):
 
     def setting(self, name: str) -> float:
         """dJ/d(number `name` of the scene): floor_friction, wall_friction, damping, gravity, slope_deg, ..."""
-
-        def scene_at(value: float) -> Scene:
-            return dataclasses.replace(self.scene, **{name: value})  # type: ignore[arg-type]
-
         at = getattr(self.scene, name)
         if isinstance(at, str):
             raise InputError(f"expected a number of which there is a derivative, got {at!r}", key=name)
-        return self.along(scene_at, at)
+        return self.along(lambda value: dataclasses.replace(self.scene, **{name: value}), at)  # type: ignore[arg-type]
 
     def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
         """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this one. Raises InputError for other particles."""
@@ -174,9 +170,7 @@ class Start(RunNumbers):
 
 
 def rows_at(material: Material, depth: Floats, friction_deg: Floats | None, name: str, value: float) -> Floats:
-    """`properties_at` with the constant `name` of the material at `value`, by which angles of the particles themselves
-    are raised.
-    """
+    """`properties_at` with a constant of the material at `value`, by which angles of the particles are raised."""
     if name == "friction_deg" and friction_deg is not None:
         return properties_at(material, depth, friction_deg + value)
     return properties_at(material.with_constant(name, value), depth, friction_deg)

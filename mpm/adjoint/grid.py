@@ -35,8 +35,7 @@ from mpm.physics.grid import SLOW, acceleration, damping_terms, node_of, own_nod
 from mpm.solids.terrain import bed_under
 
 SHARED = (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
-SUMS = len(SHARED) + 1
-"""Adjoints that nodes share: of these settings and of kappa."""
+SUMS = len(SHARED) + 1  # adjoints that nodes share: of these settings and of kappa
 
 
 @ti.func

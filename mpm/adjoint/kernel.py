@@ -32,12 +32,9 @@ from mpm.physics.transfer import particles_to_grid
 class Pass(Enum):
     """What a call of the kernel does with the frames of a segment."""
 
-    REPLAY = auto()
-    """Compute the frames [first, last) and keep the state before every step and at the end."""
-    REVERSE = auto()
-    """Take the adjoints at the end of what was replayed back to its beginning."""
-    START = auto()
-    """Take the adjoints of the contact at the beginning to those of what it follows from."""
+    REPLAY = auto()  # compute the frames [first, last) and keep the state before every step and at the end
+    REVERSE = auto()  # take the adjoints at the end of what was replayed back to its beginning
+    START = auto()  # take the adjoints of the contact at the beginning to those of what it follows from
 
 
 @ti.func

@@ -20,13 +20,10 @@ class Layout:
     """Where adjoints and the history of states lie; the kernel is compiled for it."""
 
     features: Features
-    exact: bool = False
-    """Whether the sign of local damping has the slope of the step, else a bounded one (`mpm.adjoint.grid`)."""
-    impulses: bool = False
-    """Whether the objective depends on the momentum that solids have taken."""
+    exact: bool = False  # whether damping's sign has the slope of the step, else a bounded one (`mpm.adjoint.grid`)
+    impulses: bool = False  # whether the objective depends on the momentum that solids have taken
 
-    _data_oriented: ClassVar[bool] = True
-    """Tells Taichi that a kernel may hold it as a Python object of compile time."""
+    _data_oriented: ClassVar[bool] = True  # tells Taichi that a kernel may hold it as a Python object of compile time
 
     @property
     def width(self) -> int:
@@ -53,29 +50,22 @@ class Layout:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Block:
     """A block of particles in a step that is reversed: numbers of the kernel, which its functions pass on together."""
 
     worker: Any
     scene: Any
-    number: Any
-    """Of the block among all."""
-    table: Any
-    """The first column of the worker's nodes."""
-    state: Any
-    """Its first vector in `state`, before the step."""
-    adj: Any
-    """In `adjoints`."""
-    after: Any
-    """In the history of states, after the step."""
-    scratch: Any
-    """Of the worker, in `scratch`."""
+    number: Any  # of the block among all
+    table: Any  # the first column of the worker's nodes
+    state: Any  # its first vector in `state`, before the step
+    adj: Any  # in `adjoints`
+    after: Any  # in the history of states, after the step
+    scratch: Any  # of the worker, in `scratch`
     dt: Any
     kappa: Any
 
-    _data_oriented: ClassVar[bool] = True
-    """As of `Layout`."""
+    _data_oriented: ClassVar[bool] = True  # as of `Layout`
 
 
 @ti.func

@@ -36,23 +36,8 @@ def block_of(worker, scene, number, step, dt, kappa, arrays: ti.template()):
     """What the functions of the reverse of `step` know of the block with this number."""
     state, adj = no_overflow(number * arrays.features.state.size), number * arrays.layout.width
     after = state_before(step + 1, number, arrays)
-    column, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
-    return ti.static(
-        [
-            Block(
-                worker=worker,
-                scene=scene,
-                number=number,
-                table=column,
-                state=state,
-                adj=adj,
-                after=after,
-                scratch=scratch,
-                dt=dt,
-                kappa=kappa,
-            )
-        ]
-    )[0]
+    table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
+    return ti.static([Block(worker, scene, number, table, state, adj, after, scratch, dt, kappa)])[0]
 
 
 @ti.func

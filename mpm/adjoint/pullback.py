@@ -21,8 +21,7 @@ import taichi as ti
 from taichi.lang.expr import Expr
 from taichi.lang.impl import expr_init
 
-Rule = Callable[[Any], Any]
-"""What an operand takes of the adjoint of a result."""
+Rule = Callable[[Any], Any]  # what an operand takes of the adjoint of a result
 
 
 def compared(relation: Callable[[Any, Any], Any]) -> Any:
@@ -35,11 +34,8 @@ class Number:
 
     def __init__(self, tape: list["Number"], value: Any, *operands: tuple[Any, Rule], active: bool = False) -> None:
         self.tape, self.value = tape, expr_init(value)
-        self.operands: list[tuple[Number, Rule]] = [
-            operand for operand in operands if getattr(operand[0], "active", False)
-        ]
-        self.active: bool = active or bool(self.operands)
-        """Whether it depends on an argument that has an adjoint."""
+        self.operands = [(operand, rule) for operand, rule in operands if getattr(operand, "active", False)]
+        self.active: bool = active or bool(self.operands)  # whether it depends on an argument that has an adjoint
         self.adj: Any = None
         tape.append(self)
 
@@ -100,8 +96,7 @@ def selected(condition: Any, a: Any, b: Any) -> Number:
     return Number(tape, ti.select(condition, plain(a), plain(b)), first, second)
 
 
-OPERATIONS = SimpleNamespace(static=lambda value: value, sqrt=root, select=selected)
-"""What `ti` is to a traced function."""
+OPERATIONS = SimpleNamespace(static=lambda value: value, sqrt=root, select=selected)  # what `ti` is to traced functions
 
 
 @cache
@@ -133,8 +128,7 @@ def flat(values: Any) -> list[Any]:
 class Pullback:
     """A function at arguments, expressions of Taichi nested in lists, and constants without adjoints; its reverse."""
 
-    _data_oriented = True
-    """Tells Taichi that a kernel may hold it as a Python object of compile time."""
+    _data_oriented = True  # tells Taichi that a kernel may hold it as a Python object of compile time
 
     def __init__(self, function: Callable[..., Any], arguments: Sequence[Any], constants: Sequence[Any] = ()) -> None:
         self.tape: list[Number] = []

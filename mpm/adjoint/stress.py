@@ -30,8 +30,7 @@ from mpm.physics.stress import equivalent_strain, midpoint_increment, strain_bet
 from mpm.physics.transfer import property_of
 from mpm.physics.volume_correction import LEAST, grid_gap, updated_gap
 
-SWEEPS = {"f32": 4, "f64": 6}
-"""Sweeps of three rotations: what is left off the diagonal falls at least with its square."""
+SWEEPS = {"f32": 4, "f64": 6}  # sweeps of three rotations: what is left off the diagonal falls at least with its square
 
 
 def before_return(columns, strained, moduli, opening, box, dt, strengths_at, features):
@@ -125,9 +124,8 @@ def stress_reverse(block: ti.template(), arrays: ti.template()):
     adj_after = adjoints_of(block, features.state.stress, features.stresses, arrays)
     adj_whole = [adj_after[k] + adj_new[k] for k in ti.static(range(features.stresses))]
     others = [adj_strain, adj_opened]
-    adj_trial, adj_strengths, adj_returned = plastic_return_reverse(
-        adj_whole + others, trial, strengths, lame, shear, features
-    )
+    adj = adj_whole + others
+    adj_trial, adj_strengths, adj_returned = plastic_return_reverse(adj, trial, strengths, lame, shear, features)
     adj_columns, adj_strained, adj_moduli, adj_opening = ti.static(taken(adj_trial + adj_strengths))
     for k in ti.static(range(features.stresses)):
         arrays.adjoints[block.adj + features.state.stress + k] = zero
@@ -183,7 +181,7 @@ def plastic_return_reverse(
 ):
     """Adjoints of the trial stress, of the `strengths` of its law and of (lambda, mu), a list each.
 
-    adjoint: of what `mpm.physics.stress.plastic_return` gives: stress, plastic strain and what opened.
+    adj: of what `mpm.physics.stress.plastic_return` gives: stress, plastic strain and what opened.
     """
     adj_strain, adj_opened = adj[features.stresses], adj[features.stresses + 1]
     if ti.static(hasattr(features.law, "return_tensor")):
@@ -225,9 +223,9 @@ def theta(t, s, free):
 def in_axes(m: ti.template(), axes: ti.template()):
     """A M A^T of a symmetric M as xx, yy, zz, xy, yz, zx; the rows of A are `axes`, three after three."""
     am = [
-        axes[3 * (k // 3)] * m[ti.static(component(0, k % 3, 3))]
-        + axes[3 * (k // 3) + 1] * m[ti.static(component(1, k % 3, 3))]
-        + axes[3 * (k // 3) + 2] * m[ti.static(component(2, k % 3, 3))]
+        axes[3 * (k // 3)] * m[ti.static(component(0, k % 3))]
+        + axes[3 * (k // 3) + 1] * m[ti.static(component(1, k % 3))]
+        + axes[3 * (k // 3) + 2] * m[ti.static(component(2, k % 3))]
         for k in ti.static(range(9))
     ]
     return [
@@ -238,10 +236,7 @@ def in_axes(m: ti.template(), axes: ti.template()):
 
 @ti.func
 def principal_axes(m: ti.template(), features: ti.template()):
-    """Principal values s1 >= s2 >= s3 of xx, yy, zz, xy, yz, zx, and the components of the axes, three after three.
-
-    One rotation does in 2D, where yz and zx are 0.
-    """
+    """Principal values s1 >= s2 >= s3 of six components and their axes, three after three; one rotation does in 2D."""
     zero = 0.0 * m[0]
     value = [m[k] + zero for k in ti.static(range(3))]
     # Across the axis k.

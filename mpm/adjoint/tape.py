@@ -49,25 +49,12 @@ SPARE = 1.25
 
 def check(features: Features) -> None:
     """Raise InputError where the adjoint does not know something that scenes with `features` have."""
-    require(
-        not features.pores,
-        "material.saturated",
-        "false: the adjoint has no reverse of pore water, python -m validation.loop needs none",
-        "true",
-    )
+    dry = "false: the adjoint has no reverse of pore water, python -m validation.loop needs none"
+    require(not features.pores, "material.saturated", dry, "true")
     if features.gates:
         raise InputError("expected a scene that the adjoint knows, it has no reverse of a gate yet", key="scene")
     if features.inflow:
         raise InputError("expected masses that are there from the start, the adjoint has no inflow", key="masses")
-
-
-def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
-    """`frames` in ascending order, once each. Raises InputError for one that a scene has not."""
-    shortest = min(scene.frames for scene in scenes)
-    ascending = sorted(set(frames))
-    if not ascending or ascending[0] < 0 or ascending[-1] >= shortest or ascending[-1] == 0:
-        raise InputError(f"expected frames from 0 to {shortest - 1}, one of them after the first, got {list(frames)}")
-    return ascending
 
 
 def steady(scene: Scene) -> Scene:
@@ -118,7 +105,9 @@ class Tape:
         exact: bool = False,
         particles: Sequence[Particles] | None = None,
     ) -> None:
-        self.frames = checked_frames(scenes, frames)
+        self.frames, last = sorted(set(frames)), min(scene.frames for scene in scenes) - 1
+        if not self.frames or self.frames[0] < 0 or not 0 < self.frames[-1] <= last:
+            raise InputError(f"expected frames from 0 to {last}, one of them after the first, got {list(frames)}")
         particles = particles_of(scenes) if particles is None else list(particles)
         features = features_of(scenes, precision, record=LAST)
         if any(features_of([scene], precision, record=LAST) != features for scene in scenes):
@@ -233,12 +222,6 @@ class Tape:
         (face, hold), (last_face, last_hold) = firsts[index : index + 2]
         return slice(face, last_face), slice(hold, last_hold)
 
-    @property
-    def bed_frictions(self) -> int:
-        """The most frictions that the bed of a scene has."""
-        varied = [bed for bed in self.batch.beds if bed is not None and bed.field.friction.size > 1]
-        return max((bed.heights.size for bed in varied), default=1)
-
     def of_posts(self, index: int, adjoint: NDArray[np.float64]) -> NDArray[np.float64]:
         """From the adjoints of the frictions of the bed of scene `index` to those of the posts of its terrain, [P]."""
         if not self.features.terrain:
@@ -279,13 +262,15 @@ class Tape:
             "step_times": np.zeros((len(batch.scenes), len(history)), real),
             "step_counts": np.zeros(len(batch.scenes), np.int32),
         }
+        varied = [bed for bed in batch.beds if bed is not None and bed.field.friction.size > 1]
+        frictions = max((bed.heights.size for bed in varied), default=1)
         objectives = [
             {
                 "adjoints": aligned((len(batch.state), layout.width, lanes), real),
                 "sums": np.zeros((len(batch.workers), len(Setting))),
                 "face_adjoints": np.zeros(batch.faces.shape),
                 "hold_adjoints": np.zeros(batch.holds.shape),
-                "terrain_adjoints": np.zeros((len(batch.scenes), self.bed_frictions)),
+                "terrain_adjoints": np.zeros((len(batch.scenes), frictions)),
                 "drag_adjoints": np.zeros(batch.drags.shape),
                 "impulse_adjoints": np.zeros(len(batch.impulse), real),
                 "cuts": self.cuts(per_scene).astype(real),
@@ -304,17 +289,13 @@ class Tape:
                 shared.update(self.nodes())
             return not grown
 
-        def replay(segment: int, first: int, last: int) -> bool:
-            """The same of a replay from the start of its segment."""
-            self.restore(self.checkpoints[segment])
-            return call(objectives[0], first + 1, last + 1, Pass.REPLAY)
-
         opened = batch.retained[:, Retained.OPENED].copy()
         for segment in reversed(range(len(self.checkpoints))):
             first, last = self.boundaries[segment : segment + 2]
             batch.retained[:, Retained.OPENED] = np.where(opened <= first, opened, 0)
-            while not replay(segment, first, last):
-                pass
+            self.restore(self.checkpoints[segment])
+            while not call(objectives[0], first + 1, last + 1, Pass.REPLAY):
+                self.restore(self.checkpoints[segment])
             counts = shared["step_counts"].copy()
             for objective, per_scene in zip(objectives, flow_adjoints, strict=True):
                 if last in self.frames:
@@ -370,8 +351,6 @@ class Tape:
                     flat[here] += values[slot]
                     put_vectors(objective["adjoints"], first, flat)
             if observed.impulses is not None:
-                for worker in self.batch.workers[self.batch.workers[:, Worker.SCENE] == index]:
-                    at = int(worker[Worker.IMPULSE])
-                    objective["impulse_adjoints"][at : at + observed.impulses[slot].size] += observed.impulses[
-                        slot
-                    ].ravel()
+                impulses, workers = observed.impulses[slot].ravel(), self.batch.workers
+                for at in workers[workers[:, Worker.SCENE] == index, Worker.IMPULSE].tolist():
+                    objective["impulse_adjoints"][at : at + len(impulses)] += impulses

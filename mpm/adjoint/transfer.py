@@ -92,8 +92,7 @@ def transfer_reverse(block: ti.template(), scatters: ti.template(), arrays: ti.t
             for b in ti.static(range(3 if size == 3 else 1)):
                 first = node_at(no_overflow(column + a * deep) + b, j, arrays)
                 outer, arm = outer_weights(w, d, a, b, size), outer_weights(w, levers, a, b, size)
-                row, lever_row, product = zero_node(), zero_node(), zero_node()
-                slope_product = zero_node()
+                row, lever_row, product, slope_product = zero_node(), zero_node(), zero_node(), zero_node()
                 here = along
                 for c in ti.static(range(3)):
                     node = zero_node()
@@ -137,16 +136,9 @@ def gather_moments(block: ti.template(), arrays: ti.template()):
     lanes, deep, scratch = arrays.features.lanes, columns_deep(block.scene, arrays), block.scratch
     for lane in range(lanes):
         column, j = lowest_column(arrays, scratch, lane, block.table, deep)
-        weight = no_overflow(scratch * lanes + lane)
-        sums = node_sums(
-            arrays.addresses[Address.GRID],
-            column,
-            j,
-            deep,
-            weight,
-            weight + arrays.layout.scratch.levers * lanes,
-            arrays,
-        )
+        weight, grid = no_overflow(scratch * lanes + lane), arrays.addresses[Address.GRID]
+        lever = weight + arrays.layout.scratch.levers * lanes
+        sums = node_sums(grid, column, j, deep, weight, lever, arrays)
         for k in ti.static(range(1 + arrays.features.dimension)):
             store_sum(sums[k], k, scratch, lane, arrays)
 
@@ -191,7 +183,6 @@ def affine_reverse(block: ti.template(), arrays: ti.template()):
     features = arrays.features
     count = ti.static(features.dimension**2)
     adj, first = adjoints_of(block, features.state.affine, count, arrays), block.adj + features.state.affine
-    none = [0.0 * adj[0] for _ in ti.static(range(count))]
     if ti.static(features.volume_correction):
         scale = 4.0 / arrays.settings[block.scene, Setting.CELL] ** 2
         slopes = moments_of(block, 0, features.dimension, scale, arrays)
@@ -206,6 +197,7 @@ def affine_reverse(block: ti.template(), arrays: ti.template()):
         add_setting_adjoint(block, Setting.SLOW_AFFINE, adj_slow, arrays)
         return adj_moved[0] + adj_moved[1], adj_kappa
     else:
+        none = [0.0 * adj[0] for _ in ti.static(range(count))]
         for k in ti.static(range(count)):
             arrays.adjoints[first + k] = none[k]
         return adj + none, none[0]

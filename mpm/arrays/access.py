@@ -14,8 +14,7 @@ import taichi as ti
 
 from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset
 
-TINY = 1.0e-30
-"""Keeps a quotient finite where its denominator is zero and its numerator is smaller still."""
+TINY = 1.0e-30  # keeps a quotient finite where its denominator is zero and its numerator is smaller still
 
 
 @ti.func

@@ -50,10 +50,8 @@ from mpm.solids.bed import bed_arrays
 from mpm.solids.obstacles import initial_contacts, near_walls, obstacles_of
 
 Array = NDArray[Any]
-PORTION = 2**18
-"""Particles whose nearest faces are found together at the start: some 250 bytes each."""
-TILE = 4
-"""Cells along each side of the squares in plan by which particles in 3D are sorted."""
+PORTION = 2**18  # particles whose nearest faces are found together at the start: some 250 bytes each
+TILE = 4  # cells along each side of the squares in plan by which particles in 3D are sorted
 
 
 class Batch:
@@ -130,10 +128,8 @@ class Batch:
         longest = max(int(self.workers[:, Worker.ROOM].sum()) * NODE, recorded * features.dimension)
         indexed = max(block * features.state.size, scratch) * lanes
         if longest >= 2**31 or indexed >= INDEX_LIMIT:
-            raise InputError(
-                f"expected a smaller run: {longest} numbers in a row, of at most 2^31, and {indexed} of particles, "
-                "of at most 2^30"
-            )
+            said = f"{longest} numbers in a row, of at most 2^31, and {indexed} of particles, of at most 2^30"
+            raise InputError(f"expected a smaller run: {said}")
         self.state = aligned((block, features.state.size, lanes), real)
         self.order = np.zeros(block * lanes, np.int32)
         self.bases = np.zeros(column, np.int32)
@@ -260,8 +256,7 @@ class Batch:
                 put(features.state.contacts + Contact.NORMAL + features.dimension, shear)
             self.energies(index)[0, Energy.ELASTIC] = elastic_energy(particles, stress)
         if features.heterogeneous:
-            properties = properties_of(particles)
-            put(features.state.properties, properties[:, : features.columns])
+            put(features.state.properties, properties_of(particles)[:, : features.columns])
         if features.recorded.until_rest:
             put(features.state.before, particles.velocities * particles.present[:, None])
         real = np.arange(len(source)) < count

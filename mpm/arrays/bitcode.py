@@ -23,14 +23,10 @@ from mpm.arrays.features import NODE, REGISTER
 FILE = Path(__file__).with_name("vectors.bc")
 LAYOUT = "e-m:e-p270:32:32-p271:32:32-p272:64:64-i64:64-f80:128-n8:16:32:64-S128"
 """Of data in kernels on x86-64, so that LLVM has nothing to warn of."""
-SIZES = {"f32": ("float", 4), "f64": ("double", 8)}
-"""By precision: LLVM's name of a number, and its bytes."""
-PAIR, ROW = 2 * NODE, 4 * NODE
-"""Numbers of a pair, and of a row of `to_rows`: four nodes."""
-WIDE, BLOCK = 64, 16
-"""Bytes of the widest vector of a processor, and of the blocks within which it moves single numbers."""
-REAL, ADDRESS = 1, 0
-"""A number and an address as kinds of parameters; that of a vector is its length."""
+SIZES = {"f32": ("float", 4), "f64": ("double", 8)}  # by precision: LLVM's name of a number, and its bytes
+PAIR, ROW = 2 * NODE, 4 * NODE  # numbers of a pair, and of a row of `to_rows`: four nodes
+WIDE, BLOCK = 64, 16  # bytes of a processor's widest vector, and of the blocks within which it moves single numbers
+REAL, ADDRESS = 1, 0  # a number and an address as kinds of parameters; that of a vector is its length
 
 
 @cache
@@ -43,16 +39,10 @@ def call(name: str, precision: str) -> Callable[..., None]:
         from taichi.lang import impl
         from taichi.lang.expr import make_expr_group
 
-        runtime = impl.get_runtime()
-        runtime.compiling_callable.ast_builder().insert_external_func_call(
-            0,
-            "",
-            str(FILE),
-            f"{name}_{precision}_{version()}",
-            make_expr_group(values),
-            make_expr_group([]),
-            core.DebugInfo(runtime.get_current_src_info()),
-        )
+        runtime, symbol = impl.get_runtime(), f"{name}_{precision}_{version()}"
+        given, place = make_expr_group(values), core.DebugInfo(runtime.get_current_src_info())
+        insert = runtime.compiling_callable.ast_builder().insert_external_func_call
+        insert(0, "", str(FILE), symbol, given, make_expr_group([]), place)
 
     # Taichi warns of calls of what it does not know.
     linked._is_wrapped_kernel = True  # type: ignore[attr-defined]

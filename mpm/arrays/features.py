@@ -17,11 +17,9 @@ from mpm.arrays.layout import Contact, Precision
 from mpm.laws import law_named, law_of
 from mpm.output.recording import ALL, Recording
 
-REGISTER = 128
-"""Bytes of a vector of lanes: two registers of AVX-512, so that one is computed while the other waits for a root."""
+REGISTER = 128  # bytes of a vector of lanes: two registers of AVX-512, one computed while the other waits for a root
 
-NODE = 8
-"""Numbers in a node, momentum, mass and force: a short vector, a power of two long."""
+NODE = 8  # numbers in a node, momentum, mass and force: a short vector, a power of two long
 
 
 class Addresses:
@@ -30,8 +28,7 @@ class Addresses:
     A part that the kernels do without has length 0.
     """
 
-    _data_oriented = True
-    """Tells Taichi that a kernel may hold it as a Python object of compile time."""
+    _data_oriented = True  # tells Taichi that a kernel may hold it as a Python object of compile time
 
     def __init__(self, **lengths: int) -> None:
         vars(self).update(zip((*lengths, "size"), accumulate(lengths.values(), initial=0), strict=True))
@@ -44,74 +41,48 @@ class Addresses:
 class Recorded:
     """What is recorded besides positions and energies."""
 
-    strain: bool = False
-    """Plastic strain is summed up."""
-    walls: bool = False
-    """The momentum that floor and walls take."""
-    until_rest: bool = False
-    """A scene ends when its deposit has come to rest."""
+    strain: bool = False  # plastic strain is summed up
+    walls: bool = False  # the momentum that floor and walls take
+    until_rest: bool = False  # a scene ends when its deposit has come to rest
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hardware:
     """What computes."""
 
-    gpu: bool = False
-    """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
-    shared: bool = False
-    """One scene, on several threads."""
+    gpu: bool = False  # a thread per particle and atomic sums; else a thread per scene or per part of it
+    shared: bool = False  # one scene, on several threads
 
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
-    """What the scenes of a batch need; nothing else is in their kernels.
-
-    `state`, `face`, `node` and `scratch` are addresses of numbers, in the order of memory.
-    """
+    """What the scenes of a batch need, and nothing else; `state`, `face`, `node` and `scratch` are addresses."""
 
     dimension: int
     precision: Precision
-    law_name: str = MOHR_COULOMB
-    """Of strength: the name of one in `mpm.laws`."""
-    cohesive: bool = False
-    """Strength without pressure: cohesion, and with it a tension cutoff."""
+    law_name: str = MOHR_COULOMB  # of strength: the name of one in `mpm.laws`
+    cohesive: bool = False  # strength without pressure: cohesion, and with it a tension cutoff
     dilates: bool = False
-    softens: bool = False
-    """Strength depends on the plastic strain, which is then part of the state."""
-    inertial: bool = False
-    """Friction grows with the inertial number (`mpm.physics.inertial`)."""
-    heterogeneous: bool = False
-    """A scene has several materials, or particles of several volumes or frictions."""
-    volume_correction: bool = False
-    """A particle carries the gap to its neighbours."""
+    softens: bool = False  # strength depends on the plastic strain, which is then part of the state
+    inertial: bool = False  # friction grows with the inertial number (`mpm.physics.inertial`)
+    heterogeneous: bool = False  # a scene has several materials, or particles of several volumes or frictions
+    volume_correction: bool = False  # a particle carries the gap to its neighbours
     damped: bool = False
-    listed: bool = False
-    """Solids have faces that are listed."""
-    terrain: bool = False
-    """A terrain is a smooth bed (`mpm.solids.terrain`)."""
-    contact: bool = False
-    """Solids stand in the box: baffles, ground, obstacles."""
-    turbulent: bool = False
-    """Solids brake with the square of the speed (`mpm.physics.contact`)."""
-    channel: bool = False
-    """Side walls of a scene in 2D brake it (`mpm.physics.channel`)."""
-    outflow: bool = False
-    """A side of the box lets particles out, or particles have not entered yet."""
-    inflow: bool = False
-    """Particles enter over time (`mpm.physics.inflow`)."""
-    wet: bool = False
-    """Water fills the pores of a material (`mpm.physics.water`)."""
-    seeps: bool = False
-    """Water exerts a given force on each particle (`mpm.initial.water`)."""
-    barriers: bool = False
-    """Masses stand behind barriers until their release."""
-    gates: bool = False
-    """Barriers rise when they open."""
+    listed: bool = False  # solids have faces that are listed
+    terrain: bool = False  # a terrain is a smooth bed (`mpm.solids.terrain`)
+    contact: bool = False  # solids stand in the box: baffles, ground, obstacles
+    turbulent: bool = False  # solids brake with the square of the speed (`mpm.physics.contact`)
+    channel: bool = False  # side walls of a scene in 2D brake it (`mpm.physics.channel`)
+    outflow: bool = False  # a side of the box lets particles out, or particles have not entered yet
+    inflow: bool = False  # particles enter over time (`mpm.physics.inflow`)
+    wet: bool = False  # water fills the pores of a material (`mpm.physics.water`)
+    seeps: bool = False  # water exerts a given force on each particle (`mpm.initial.water`)
+    barriers: bool = False  # masses stand behind barriers until their release
+    gates: bool = False  # barriers rise when they open
     recorded: Recorded = Recorded()
     processor: Hardware = Hardware()
 
-    _data_oriented: ClassVar[bool] = True
-    """As of `Addresses`."""
+    _data_oriented: ClassVar[bool] = True  # as of `Addresses`
 
     @property
     def law(self) -> Any:

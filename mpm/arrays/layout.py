@@ -13,18 +13,13 @@ from datasets.scene import Domain
 
 Precision = Literal["f32", "f64"]
 
-INDEX_LIMIT = 2**30
-"""Numbers that an array of the particles may hold (`mpm.arrays.access.no_overflow`)."""
-PADDING = 3
-"""Cells of grid beyond every wall: the support of a quadratic B-spline is one and a half to either side."""
+INDEX_LIMIT = 2**30  # numbers that an array of the particles may hold (`mpm.arrays.access.no_overflow`)
+PADDING = 3  # cells of grid beyond every wall: the support of a quadratic B-spline is one and a half to either side
 NODES_PER_PARTICLE, FEWEST_NODES = 2, 1024
 """Nodes for which a worker has room at first, but no more than its box has; flows of two cells and more need less."""
-CACHE_LINE = 64
-"""Bytes."""
-ALIGNMENT = 128
-"""Bytes: loads of a whole vector of lanes fail on less."""
-GROWTH = 1.5
-"""Nodes for which a worker that has too few gets room, over those it needs."""
+CACHE_LINE = 64  # bytes
+ALIGNMENT = 128  # bytes: loads of a whole vector of lanes fail on less
+GROWTH = 1.5  # nodes for which a worker that has too few gets room, over those it needs
 
 
 class Setting(IntEnum):
@@ -67,8 +62,7 @@ class Property(IntEnum):
     ELASTIC_TRACE = auto()  # nu / (2 E) [1/Pa]
 
 
-FRAMES_PER_CALL = 20
-"""Frames of one call of the kernel at most; after each the progress bar moves and a run can be stopped."""
+FRAMES_PER_CALL = 20  # frames of a call of the kernel at most; after it the progress bar moves and a run can be stopped
 
 
 class Offset(IntEnum):
@@ -126,10 +120,8 @@ FIRST_FACE = 2**24
 on either side of zero."""
 
 
-BED_PER_CELL = 2
-"""Nodes of the lattice of a terrain in 3D per cell of the grid (`mpm.solids.bed`)."""
-BED_FIRST = BED_PER_CELL * PADDING + 1
-"""The number along an axis of its node at the corner of the box: one lies beyond the padding."""
+BED_PER_CELL = 2  # nodes of the lattice of a terrain in 3D per cell of the grid (`mpm.solids.bed`)
+BED_FIRST = BED_PER_CELL * PADDING + 1  # the number of its node at the corner of the box: one lies beyond the padding
 
 
 class TerrainNumber(IntEnum):
@@ -198,7 +190,7 @@ class Energy(IntEnum):
     KINETIC = 0
     POTENTIAL = auto()
     ELASTIC = auto()
-    UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where `rests`; else 0
+    UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where runs end at rest; else 0
 
 
 class Pore(IntEnum):
@@ -299,6 +291,6 @@ def column_count(domain: Domain) -> int:
     return math.prod(nodes) // nodes[1]
 
 
-def component(i: int, j: int, dimension: int) -> int:
+def component(i: int, j: int) -> int:
     """Where sigma_ij stands among the components xx, yy, zz, xy, yz, zx; no yz, zx in 2D."""
     return i if i == j else {(0, 1): 3, (1, 2): 4, (0, 2): 5}[min(i, j), max(i, j)]

@@ -30,16 +30,11 @@ from mpm.output.recording import REST_ENERGY
 
 Array = NDArray[Any]
 
-GAP_RATE = 4.0
-"""Rate at which a gap follows the grid's density, times sqrt(cell / gravity) [-] (`mpm.physics.volume_correction`)."""
-GAP_CUTOFF = 1.7
-"""Cells from a wall or a solid within which it hides mass from a particle."""
-CONTACT_WIDTH = 1.0
-"""Width h of the contact with solids [cells] (`mpm.physics.contact`)."""
-STABILITY = 1.0
-"""Largest (wave speed + particle speed) dt / dx. Measured clean up to 1.1 in 2D and 1.2 in 3D."""
-DRY_GRIP = 2.0
-"""Coulomb coefficient beyond which no dry sand can tell a surface's friction."""
+GAP_RATE = 4.0  # at which gaps follow the density, times sqrt(cell / gravity) [-] (`mpm.physics.volume_correction`)
+GAP_CUTOFF = 1.7  # cells from a wall or a solid within which it hides mass from a particle
+CONTACT_WIDTH = 1.0  # width h of the contact with solids [cells] (`mpm.physics.contact`)
+STABILITY = 1.0  # largest (wave speed + particle speed) dt / dx: measured clean up to 1.1 in 2D and 1.2 in 3D
+DRY_GRIP = 2.0  # Coulomb coefficient beyond which no dry sand can tell a surface's friction
 
 
 def roughest(scene: Scene) -> float:
@@ -130,10 +125,7 @@ def in_precision(
 
 
 def properties_row(material: Material, volume: float) -> Array:
-    """One line of `properties`; `volume` of a particle [m^D].
-
-    Of a material whose strength grows with depth, the strength at its top.
-    """
+    """One line of `properties`, at the top of a body; `volume` of a particle [m^D]."""
     return np.asarray(properties_at(material, np.zeros(1), volume=volume)[0])
 
 

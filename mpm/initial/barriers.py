@@ -20,11 +20,9 @@ from mpm.arrays.layout import PADDING, Barrier, Inflow, Offset, Retained, Settli
 from mpm.physics.barriers import ENERGY, FORCE
 from mpm.physics.inflow import NEVER
 
-BEYOND = 2
-"""Cells beyond a face in which nodes are held: the support of a quadratic B-spline is one and a half."""
+BEYOND = 2  # cells beyond a face in which nodes are held: the support of a quadratic B-spline is one and a half
 
-Range = NDArray[np.int32]
-"""Indices of nodes, [low, high) per axis, shape [2, D]."""
+Range = NDArray[np.int32]  # indices of nodes, [low, high) per axis, shape [2, D]
 
 
 def barriers(scene: Scene, mass: Mass) -> list[tuple[int, Range]]:

@@ -21,39 +21,29 @@ from mpm.physics.pore_pressure import COVERED
 from mpm.solids.obstacles import contact_delta, covered_at, from_wall
 
 Floats = NDArray[np.float64]
+Operator = Callable[[Floats], Floats]
 
-ITERATIONS = 100
-"""Solutions for an unbalanced force at most."""
-PATIENCE, PROGRESS = 10, 0.9
-"""How many in a row may leave more than this part of the least unbalanced force so far."""
-ROUNDING = 1.0e-9
-"""Change of stress by the yield surface, over the largest stress, that does not count."""
-BALANCED = 1.0e-12
-"""Unbalanced nodal forces, summed, over the weight, at which iterations end."""
+ITERATIONS = 100  # solutions for an unbalanced force at most
+PATIENCE, PROGRESS = 10, 0.9  # how many in a row may leave more than this part of the least unbalanced force so far
+ROUNDING = 1.0e-9  # change of stress by the yield surface, over the largest stress, that does not count
+BALANCED = 1.0e-12  # unbalanced nodal forces, summed, over the weight, at which iterations end
 UNBALANCED = 1.0e-3
 """The same beyond which a warning says that there is no equilibrium.
 
 Less than that is left where a cohesionless surface or its edge hangs on single particles that jitter has put aside:
 there is no admissible stress for those nodes, and they alone move, by tenths of a millimetre a second.
 """
-INSIDE = 0.9
-"""Of the deviator at yield: how far inside a stress that violated yield is put back."""
-SOFTENED, SOFTEST = 0.1, 1.0e-3
-"""Factor on theta of a particle that yields, and its least value."""
-ACCURACY = 1.0e-2
-"""Relative residual of a solution; what is left belongs to the next one."""
+INSIDE = 0.9  # of the deviator at yield: how far inside a stress that violated yield is put back
+SOFTENED, SOFTEST = 0.1, 1.0e-3  # factor on theta of a particle that yields, and its least value
+ACCURACY = 1.0e-2  # relative residual of a solution; what is left belongs to the next one
 INERTIA = 0.01
 """Of the stiffness of a body's slowest mode, per mass, where it touches solids: nodes that lone particles at its edge
 cannot hold fall there, in place of loading these particles without bound."""
-WEAK = 0.4
-"""Of the largest nodal mass: lighter nodes are solved for directly."""
-SHIFT = 1.0e-9
-"""On the diagonal of the scaled block that is factorised: nodes of a single particle make it singular."""
-EXTRA_STEPS = 60
-"""Steps of conjugate gradients after which the block is factorised anew."""
+WEAK = 0.4  # of the largest nodal mass: lighter nodes are solved for directly
+SHIFT = 1.0e-9  # on the diagonal of the scaled block that is factorised: nodes of a single particle make it singular
+EXTRA_STEPS = 60  # steps of conjugate gradients after which the block is factorised anew
 MOST_STEPS = 600
-SETTLING = {2: 20, 3: 5}
-"""Solutions for layers on a slope, by dimension."""
+SETTLING = {2: 20, 3: 5}  # solutions for layers on a slope, by dimension
 
 
 class Equilibrium:
@@ -133,9 +123,9 @@ class Equilibrium:
                 for axis, (low, high) in barriers(scene, body):
                     inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
                     self.behind_barriers[inside & ~pressed[:, axis], axis] = True
-        held = (walls != 0) | self.behind_barriers | self.rough[:, None]
+        self.held = (walls != 0) | self.behind_barriers | self.rough[:, None]
         self.in_solids = self.contact.fixed_components(scene, self.nodes)
-        self.free = ~(held | self.in_solids)
+        self.free = ~(self.held | self.in_solids)
 
     def solution(self, stress: Floats) -> Floats:
         """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3], or the nearest to one."""
@@ -228,7 +218,6 @@ class Equilibrium:
         It counts unbalanced nodal forces and what no wall takes: pull, and shear beyond friction.
         """
         force = self.unbalanced(stress, self.contact.traction)
-        held = (self.walls != 0) | self.behind_barriers | self.rough[:, None]
         loose = np.abs(force[self.free]).sum()
         push = -force * self.walls
         pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
@@ -238,18 +227,15 @@ class Equilibrium:
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
         # Oblique faces hold nodes altogether; along all faces solids bear no more than friction, in the sum: single
         # nodes pull.
-        borne = np.where(self.in_solids & ~held, force, 0.0)
+        borne = np.where(self.in_solids & ~self.held, force, 0.0)
         across = (borne * self.contact.normals).sum(axis=1)
         beside = borne - across[:, None] * self.contact.normals
         along = np.linalg.norm(np.where(self.contact.across_axes, 0.0, beside), axis=1)
         slides = max(float(along.sum() - self.contact.frictions @ np.maximum(-across, 0.0)), 0.0)
         missing = float(loose + pulled + slips + slides) / self.weight
         if missing > UNBALANCED:
-            warnings.warn(
-                f"no initial stress within the yield surface balances gravity: {missing:.2g} of the weight is "
-                "unbalanced at the start",
-                stacklevel=6,
-            )
+            said = f"balances gravity: {missing:.2g} of the weight is unbalanced at the start"
+            warnings.warn(f"no initial stress within the yield surface {said}", stacklevel=6)
 
     def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
         """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""
@@ -298,10 +284,7 @@ class Equilibrium:
         return np.where(self.free, force + self.inertia * displacements, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
-        """`stress` without tension beyond the limit, then scaled towards its mean until its law admits it.
-
-        Where that was needed, by a factor `inside` further.
-        """
+        """`stress` cut at the tension limit, then scaled to its mean till its law admits it, there by `inside` more."""
         principal = np.linalg.eigvalsh(stress)
         beyond, stress = principal[:, 2] > self.limit, stress.copy()
         principal = np.minimum(principal, self.limit[:, None])
@@ -313,14 +296,13 @@ class Equilibrium:
         stress[yields] = pressure + factor[:, None, None] * (stress[yields] - pressure)
         return stress
 
-    def preconditioner(self) -> Callable[[Floats], Floats]:
+    def preconditioner(self) -> Operator:
         """An approximate inverse of K: its diagonal, and the factorised block of the nodes `direct`."""
         dimension, count = self.dimension, len(self.volume)
         by_axis = [self.slopes[axis * count : (axis + 1) * count] for axis in range(dimension)]
         stiff = self.volume * self.theta
-        squares = [
-            matrix.multiply(matrix).T @ np.stack([stiff * self.lame, stiff * self.shear], 1) for matrix in by_axis
-        ]
+        moduli = np.stack([stiff * self.lame, stiff * self.shear], 1)
+        squares = [matrix.multiply(matrix).T @ moduli for matrix in by_axis]
         total = sum(square[:, 1] for square in squares)
         diagonal = np.stack([squares[axis].sum(axis=1) + total for axis in range(dimension)], axis=1)
         contact = self.theta * self.lame, self.theta * self.shear
@@ -364,10 +346,7 @@ def in_axes(axes: Floats, principal: Floats) -> Floats:
 
 
 def conjugate_gradients(
-    matrix: Callable[[Floats], Floats],
-    force: Floats,
-    precondition: Callable[[Floats], Floats],
-    accuracy: float = ACCURACY,
+    matrix: Operator, force: Floats, precondition: Operator, accuracy: float = ACCURACY
 ) -> tuple[Floats, int]:
     """u with matrix(u) = force to a relative residual of `accuracy` (Hestenes & Stiefel 1952), and the steps taken."""
     solution, residual = np.zeros_like(force), force.copy()

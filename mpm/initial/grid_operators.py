@@ -22,8 +22,7 @@ from mpm.solids.obstacles import bed_holds_at, holds_at, initial_contacts
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-HELD, HALF = 1.0 - 1.0e-9, 0.5 - 1.0e-9
-"""Shares from which on solids hold a node whole, and by half."""
+HELD, HALF = 1.0 - 1.0e-9, 0.5 - 1.0e-9  # shares from which on solids hold a node whole, and by half
 
 
 def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, Integers]:

@@ -1,9 +1,8 @@
 """Geostatic stress with a given thrust, within the yield surface: admissible up to active and passive pressure.
 
 What jitter does to single particles must not change the thrust of a box on its walls, K0 rho g H^2 / 2. Where K0 is
-near a limit of yield nearly all particles stand on it, and the elastic correction of `mpm.initial.equilibrium`, whose
-excess is then scaled back, moves their mean away from it (0.40 for 0.34). Equilibrium and thrust are linear in the
-stress and the yield surface is convex, so a stress that has them all is a point of two convex sets,
+near a limit of yield nearly all particles stand on it, and the correction of `mpm.initial.equilibrium` moves their mean
+away from it (0.40 for 0.34). A stress that has equilibrium, thrust and yield is a point of two convex sets,
 
     E = {sigma: r(sigma) = 0, sum_p V_p sigma_aa = K0 sum_p V_p sigma_v for every box and level axis a}
     Y = {sigma: the law of strength, reduced by a little, and the tension limit hold in every particle}
@@ -26,19 +25,14 @@ from mpm.initial.grid_operators import clings
 
 Floats = NDArray[np.float64]
 
-RELAXED = 1.6
-"""Factor on the step of z, below 2."""
-ITERATIONS, BETWEEN = 240, 4
-"""Steps at most, and after how many what is unbalanced is computed: a look."""
-PATIENCE, PROGRESS = 8, 0.8
-"""How many looks in a row may leave more than this part of the least unbalanced force so far."""
+RELAXED = 1.6  # factor on the step of z, below 2
+ITERATIONS, BETWEEN = 240, 4  # steps at most, and after how many what is unbalanced is computed: a look
+PATIENCE, PROGRESS = 8, 0.8  # how many looks in a row may leave more than this part of the least unbalanced force
 NEARLY, ENOUGH, HASTE = 2.0e-3, 2.0e-4, 4
 """Unbalanced nodal forces, summed, over the weight: where less is left, or patience ends, nodes that walls would pull
 are freed; and below which a look without progress counts for so many: hardly anything moves then."""
-ROUGH = 0.1
-"""Relative residual of P_E."""
-RELEASES = 5
-"""How often nodes are freed."""
+ROUGH = 0.1  # relative residual of P_E
+RELEASES = 5  # how often nodes are freed
 
 
 class WithThrust:

@@ -28,22 +28,15 @@ from datasets.scene.particles import Particles
 
 Floats = NDArray[np.float64]
 
-FLAT = 5.0
-"""Lengths over height from which on a mass is a layer and no column."""
-NEAR, MOST = 0.05, 0.9
-"""Distance from the ground, in cells, within which this share of a polygon's lower side lies where it is a sheet."""
-SAMPLES = 33
-"""Most places along an axis at which the ground beneath a box is looked at."""
-LEAST = 1.0e-6
-"""Share of the normal stress that grains bear at least."""
-MARGIN = 0.1
-"""Share by which sin(phi) is reduced for K."""
+FLAT = 5.0  # lengths over height from which on a mass is a layer and no column
+NEAR, MOST = 0.05, 0.9  # cells from the ground within which this share of a polygon's lower side lies if it is a sheet
+SAMPLES = 33  # most places along an axis at which the ground beneath a box is looked at
+LEAST = 1.0e-6  # share of the normal stress that grains bear at least
+MARGIN = 0.1  # share by which sin(phi) is reduced for K
 
 
 def begins_as_slope(scene: Scene, mass: Mass) -> bool:
-    """Whether `mass` lies flat on inclined ground: a layer or a polygon along it; in a tilted box also a box on what is
-    level, or on such boxes.
-    """
+    """Whether a layer or polygon lies along inclined ground, or in a tilted box a box on what is level, or on such."""
     if not lies_flat(scene, mass):
         return False
     tilted = scene.slope_deg != 0.0
@@ -93,9 +86,7 @@ def sides(mass: Mass, cell: float) -> tuple[Floats, Floats, Floats]:
 
 
 def depth_below_top(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:
-    """Depth [m] below the top of a mass at the same x, z, [N]; depth: that of its particles, of a polygon below its
-    highest place.
-    """
+    """Depth [m] below the top at the same x, z, [N]; depth: of its particles, of a polygon below its highest place."""
     if mass.kind != "polygon":
         return depth
     x, _, top = sides(mass, scene.domain.cell)
@@ -155,13 +146,11 @@ def above(other: Mass, mass: Mass, scene: Scene) -> bool:
     )
 
 
-def slope_stress(
-    scene: Scene, particles: Particles, positions: Floats, share: Floats | None = None
-) -> tuple[Floats, Floats]:
+def slope_stress(scene: Scene, particles: Particles, positions: Floats, share: Floats | None) -> tuple[Floats, Floats]:
     """Of particles at `positions` [m], [N, D]: their stress [Pa], [N, 3, 3], and the shear traction of the ground on
     them [Pa], [N, D]; 0 in masses that do not begin so. A field of friction does not enter.
 
-    share: of the normal stress that grains bear beside water, [N]; all where absent.
+    share: of the normal stress that grains bear beside water, [N]; all where None.
     """
     stress, traction = np.zeros((len(positions), 3, 3)), np.zeros(positions.shape)
     for number, mass in enumerate(scene.masses):

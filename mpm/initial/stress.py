@@ -1,15 +1,14 @@
 """The stress in which masses begin: geostatic or elastic, in equilibrium with gravity on the grid itself.
 
+The method and its sources are those of docs/theory/initial-stress.md.
+
 **First guess.** A mass with a number K0 (`Mass.k0`) begins geostatic: with the overburden q [Pa] above a particle, its
-own material's and that of the masses stacked on it,
+own material's and that of the masses stacked on it, sigma_yy = -q and sigma_xx = sigma_zz = -K0 q (tension positive, y
+normal to the floor); an "elastic" one begins with the stress of an infinite slope where it lies flat on inclined ground
+(`mpm.initial.slope`), else from nothing. On the grid, with particles that are jittered, the nodal forces of
+`mpm.physics.transfer` then miss the weight by as much as the weight itself.
 
-    sigma_yy = -q,   sigma_xx = sigma_zz = -K0 q            (tension positive, y normal to the floor)
-
-and one that is "elastic" with the stress of an infinite slope where it lies flat on inclined ground
-(`mpm.initial.slope`), else from nothing. That is in equilibrium in the continuum, not on the grid: with particles that
-are jittered the nodal forces of `mpm.physics.transfer` miss the weight by as much as the weight itself.
-
-**Correction.** Find the smallest change of stress, in the elastic energy, that closes the gap. It derives from nodal
+**Correction.** The smallest change of stress, in the elastic energy, that closes the gap derives from nodal
 displacements u through the gradient that the kernel uses,
 
     C_p = (4 / dx^2) sum_i w_ip u_i x_ip^T,   dsigma_p = theta_p [lambda tr(C) I + 2 mu sym(C)]
@@ -23,10 +22,9 @@ Solids push as in `mpm.physics.contact`, by whose law they are part of C_p and o
 rough and hold a mass. Where bodies touch them, or slip, K has a little inertia (`INERTIA`).
 
 **Yield.** Where the corrected stress violates the tension limit, the principal stresses beyond it are cut; where it
-violates Mohr-Coulomb it is then scaled towards its own mean stress until it does not. The force that this leaves
-unbalanced is distributed again, as in the initial stress method (Zienkiewicz, Valliappan & King 1969), here with
-theta_p a tenth of what it was for every particle that yielded, so that the others take the load, as a tangent would
-have them do.
+violates the law it is then scaled towards its own mean stress until it does not. What this leaves unbalanced is
+distributed again (Zienkiewicz, Valliappan & King 1969), with theta_p a tenth of what it was for every particle that
+yielded, so that the others take the load, as a tangent would have them do.
 
 **Solver.** K is never assembled. Conjugate gradients, preconditioned by the diagonal and, where K is worst, by a sparse
 LU of the block of the nodes that few particles support (surfaces and edges); in 2D of all nodes. Everything is in f64.
@@ -46,8 +44,7 @@ from mpm.initial.slope import slope_stress
 
 Floats = NDArray[np.float64]
 
-NEAR = 0.01
-"""Share of a box's thrust that an elastic solution may miss, and any solution without a word."""
+NEAR = 0.01  # share of a box's thrust that an elastic solution may miss, and any solution without a word
 
 
 def initial_tractions(
@@ -117,10 +114,9 @@ def lateral_shortfall(scene: Scene, particles: Particles, guess: Floats, stress:
         if mass.k0 is None or clings(mass):
             continue
         of_mass = particles.mass == number
+        volume = particles.volume[of_mass]
         for axis in (0, 2)[: scene.dimension - 1]:
-            required, thrust = (
-                float(particles.volume[of_mass] @ tensors[of_mass, axis, axis]) for tensors in (guess, stress)
-            )
+            required, thrust = (float(volume @ tensors[of_mass, axis, axis]) for tensors in (guess, stress))
             lacking[of_mass, axis, axis] = 1.0 - thrust / required if required < 0.0 else 0.0
     return lacking
 
@@ -130,11 +126,8 @@ def warn_of_ratio(scene: Scene, particles: Particles, lacking: Floats) -> None:
     for number, (key, mass) in enumerate(keyed(scene, "masses").items()):
         share = float(np.abs(lacking[particles.mass == number]).max(initial=0.0))
         if share > NEAR:
-            warnings.warn(
-                f"no initial stress within the yield surface has the ratio {key}.k0 = {mass.k0:g} on this grid: "
-                f"the thrust is {100.0 * share:.2g} % off",
-                stacklevel=5,
-            )
+            said = f"the ratio {key}.k0 = {mass.k0:g} on this grid: the thrust is {100.0 * share:.2g} % off"
+            warnings.warn(f"no initial stress within the yield surface has {said}", stacklevel=5)
 
 
 def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:

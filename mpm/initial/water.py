@@ -146,9 +146,7 @@ def extent(scene: Scene, mass: Mass, plan: Floats) -> tuple[Floats, Floats]:
 
 
 def gradient(function: Callable[[Floats], Floats], positions: Floats, step: float) -> Floats:
-    """Of a function [..., N] of `positions` [m], [N, D], by differences over `step` [m] either way where it is known;
-    shape [..., N, D].
-    """
+    """Of function(positions) [..., N] by differences over `step` [m] where it is known either way; [..., N, D]."""
     here, slopes = function(positions), []
     for direction in step * np.eye(positions.shape[1]):
         ends = [function(positions + side * direction) for side in (-1.0, 1.0)]

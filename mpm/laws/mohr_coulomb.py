@@ -12,8 +12,8 @@ elasticity D (Lame constants lambda, mu),
 
     s = s_trial - sum_a g_a D dG_a/ds,    g_a >= 0,  F_a(s) <= 0,  g_a F_a(s) = 0.
 
-Its solution is unique, piecewise linear and continuous in s_trial (`tests.mpm.lcp` solves it by enumeration). It is the
-first of these that no other surface forbids:
+Its solution is unique, piecewise linear and continuous in s_trial (by enumeration: `tests/mpm/test_return_map.py`). It
+is the first of these that no other surface forbids:
 
     A  the hexagon alone: the plane F_13, or an edge where F_13 meets F_23 or F_12, taken where s1 <= T;
     B  the cutoff alone: one, two or three stresses equal T, taken where F_13 <= 0;
@@ -55,8 +55,7 @@ from mpm.physics.inertial import sin_phi_at_rate
 Floats = NDArray[np.float64]
 
 OPENS = True
-REDUCED = 1.0e-3
-"""Share by which sin(phi) is reduced for `nearest`: what converges to it lies within yield after a number of steps."""
+REDUCED = 1.0e-3  # share off sin(phi) for `nearest`: what converges to it lies within yield after a number of steps
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,27 +29,18 @@ SCALARS: dict[str, Callable[[Any], Any]] = {"run": str, "frame": int, "steps": i
 class Checkpoint:
     """A run of one scene up to a frame, in the precision of the solver, with all that it has recorded so far."""
 
-    run: str
-    """Scene, recording and precision: `described`."""
-    frame: int
-    """The last frame that was computed."""
-    steps: int
-    """Steps so far."""
-    wall_s: float
-    """What all parts of the run have taken so far [s]."""
-    arrays: dict[str, NDArray[Any]]
-    """What `arrays_of` lists."""
+    run: str  # scene, recording and precision: `described`
+    frame: int  # the last frame that was computed
+    steps: int  # so far
+    wall_s: float  # what all parts of the run have taken so far [s]
+    arrays: dict[str, NDArray[Any]]  # what `arrays_of` lists
 
     @staticmethod
     def from_batch(batch: "Batch", *, wall_s: float) -> "Checkpoint":
         """The state of a batch of one scene; views of its arrays."""
-        return Checkpoint(
-            run=described(batch.scenes[0], batch.recording, batch.features.precision),
-            frame=batch.computed,
-            steps=int(batch.offsets[0, Offset.STEPS]),
-            wall_s=wall_s,
-            arrays=arrays_of(batch, batch.computed),
-        )
+        run, frame = described(batch.scenes[0], batch.recording, batch.features.precision), batch.computed
+        steps, arrays = int(batch.offsets[0, Offset.STEPS]), arrays_of(batch, frame)
+        return Checkpoint(run=run, frame=frame, steps=steps, wall_s=wall_s, arrays=arrays)
 
     def restore(self, batch: "Batch") -> None:
         """Bring a batch of one scene, as it is at its start, to where this run ended.

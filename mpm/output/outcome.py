@@ -21,18 +21,14 @@ from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
 
-MOVING = "not at rest"
-"""How the remark on a flow that still moves at its end begins."""
-AT_REST = 1e-3
-"""Kinetic energy of a deposit at rest, over its largest, at most."""
-SLOW = 2e-3
-"""Root mean square speed below which nothing moves, over sqrt(g H), H the height of the body at the start."""
-SHARE = 0.005
-"""Of the particles: what is beyond the front."""
-NEAR = 2.0
-"""Cells from a wall: sand against it comes to lie a part of a cell off, its tongue is a layer of particles."""
-FEWEST_CELLS = 3.0
-"""Cells across a body or a layer."""
+Floats = NDArray[np.floating]
+
+MOVING = "not at rest"  # how the remark on a flow that still moves at its end begins
+AT_REST = 1e-3  # kinetic energy of a deposit at rest, over its largest, at most
+SLOW = 2e-3  # root mean square speed below which nothing moves, over sqrt(g H), H the height of the body at the start
+SHARE = 0.005  # of the particles: what is beyond the front
+NEAR = 2.0  # cells from a wall: sand against it comes to lie a part of a cell off, its tongue is a layer of particles
+FEWEST_CELLS = 3.0  # cells across a body or a layer
 
 
 def failure(batch: Batch, index: int) -> WorkFailed | None:
@@ -65,7 +61,7 @@ def failure(batch: Batch, index: int) -> WorkFailed | None:
     )
 
 
-def fastest(velocities: NDArray[np.floating]) -> float:
+def fastest(velocities: Floats) -> float:
     """The largest speed [m/s] of velocities [N, D]; nan where one is."""
     return float(np.linalg.norm(velocities.astype(np.float64), axis=1).max())
 
@@ -148,13 +144,11 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         summary["release_time"] = [(times[k] or None) if k in times else 0.0 for k in range(len(scene.masses))]
     if batch.recording.wall_forces:
         walls = impulses[:, solids:]
-        names = DOMAIN_SIDES[: 2 * scene.dimension]
-        summary["wall_impulse"] = rounded(walls.sum(axis=1))
-        summary["side_impulse"] = {side: rounded(walls[:, number]) for number, side in enumerate(names)}
+        summary["wall_impulse"], sides = rounded(walls.sum(axis=1)), DOMAIN_SIDES[: 2 * scene.dimension]
+        summary["side_impulse"] = {side: rounded(walls[:, number]) for number, side in enumerate(sides)}
     if left := outflow(batch, index) if scene.open_sides else {}:
         summary["outflow"] = left
-    end_time = summary["end_time"]
-    kinetic = energies[:, Energy.KINETIC]
+    end_time, kinetic = summary["end_time"], energies[:, Energy.KINETIC]
     summary["remarks"] = caveats(scene, particles, deposit, kinetic=kinetic, end_time=end_time, outflow=left)
     if water := drainage(scene, end_time):
         summary["drainage"] = water
@@ -183,13 +177,7 @@ def still_moves(summary: Mapping[str, Any]) -> bool:
 
 
 def caveats(
-    scene: Scene,
-    particles: Particles,
-    deposit: NDArray[np.floating],
-    *,
-    kinetic: NDArray[np.floating],
-    end_time: float,
-    outflow: Mapping[str, float],
+    scene: Scene, particles: Particles, deposit: Floats, *, kinetic: Floats, end_time: float, outflow: dict[str, float]
 ) -> list[str]:
     """Lines on a flow of `particles`, none where all is well.
 

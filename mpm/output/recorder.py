@@ -10,8 +10,7 @@ from mpm.physics.barriers import free_since, measure_retained, open_barriers
 from mpm.physics.inflow import next_speeds, wait_frame
 from mpm.physics.transfer import particles_in, property_of
 
-RUNAWAY = 10.0
-"""Particle speed over wave speed at which a run has blown up."""
+RUNAWAY = 10.0  # particle speed over wave speed at which a run has blown up
 
 
 @ti.func

@@ -21,8 +21,7 @@ from scipy import sparse
 from datasets.scene import Scene
 from mpm.arrays.layout import PADDING, node_shape
 
-PASSES = 2
-"""How often stress and pressure go through the grid."""
+PASSES = 2  # how often stress and pressure go through the grid
 
 Floats = NDArray[np.floating]
 

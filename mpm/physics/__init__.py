@@ -1,1 +1,1 @@
-"""The terms of a step, a file each: transfer, grid, stress, plasticity, walls, contact, volume correction."""
+"""The terms of a step, a file each: transfer, grid, stress, walls, contact, volume correction, water."""

@@ -22,14 +22,10 @@ from mpm.arrays.access import add
 from mpm.arrays.layout import PADDING, Barrier, Offset, Retained, Setting, Settling
 from mpm.physics.transfer import particles_in
 
-ENERGY = 1.0e-6
-"""Kinetic energy of a settled mass over that at the speed g H / c: a thousandth of this speed."""
-FORCE = 1.0e-3
-"""Change of momentum of a settled mass in a frame over its weight times the frame."""
-SETTLED_FRAMES = 2
-"""Frames in a row in which a mass must be settled."""
-NEVER = 1 << 30
-"""Frame that no scene has."""
+ENERGY = 1.0e-6  # kinetic energy of a settled mass over that at the speed g H / c: a thousandth of this speed
+FORCE = 1.0e-3  # change of momentum of a settled mass in a frame over its weight times the frame
+SETTLED_FRAMES = 2  # frames in a row in which a mass must be settled
+NEVER = 1 << 30  # frame that no scene has
 
 
 @ti.func

@@ -16,10 +16,8 @@ from mpm.arrays.access import clamp, columns_deep, no_overflow
 from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset, Setting, Span, Worker
 from mpm.solids.face_lookup import entry_of, holds_of_node
 
-MARGIN = 0.49
-"""Cells that particles may move before columns are made anew: half a cell, less the rounding of a position in f32."""
-OUTDATED = 1.0
-"""Cells that stand for columns that have to be made anew."""
+MARGIN = 0.49  # cells that particles may move before columns are made anew: half a cell, less rounding in f32
+OUTDATED = 1.0  # cells that stand for columns that have to be made anew
 
 
 @ti.func

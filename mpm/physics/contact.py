@@ -1,52 +1,38 @@
 """Contact with everything solid that is not a wall of the box: baffles, ground, obstacles; their union has one surface.
 
-**Kinematics.** Behind the surface the velocity is zero. Continued by zero into the solid, the velocity field jumps by
-v at the foot of the surface, and its gradient there is v n times the Dirac delta of the surface (n: normal out of the
-solid, d: a particle's distance). With a delta of width h, that of the first row of particles,
+The reasons are in docs/theory/contact.md. n is the normal out of the solid, d the distance of a particle from it, h a
+cell (`mpm.arrays.properties.CONTACT_WIDTH`): at half a cell particles close to a face are so stiff that a step of 0.9
+is unstable.
+
+**Kinematics.** The velocity jumps to zero at the surface; its gradient there, v n times a delta, strains the particle:
 
     L_p = C_p + delta_h(d_p) (n . v_f) n n^T,    v_f = sum_i w_ip v_i* - d_p C_p n
     delta_h(d) = (2 / h) (1 - 3 q^2 + 2 q^3),    q = d / h in [0, 1];    its integral over d is 1
 
-is what strains the particle: approaching the surface compresses the sand that touches it. h is a cell
-(`mpm.arrays.properties.CONTACT_WIDTH`): at half a cell particles close to a face are so stiff that a step of 0.9 is
-unstable. Sand that leaves a surface, n . v_f > 0, is strained in a step by (-sigma_nn)_+ / M at most, with the modulus
+Sand that leaves a surface, n . v_f > 0, is strained in a step by (-sigma_nn)_+ / M at most, with the modulus
 M = lambda + 2 mu of uniaxial strain: until it presses on the surface no longer. That is continuous in sigma_nn; by the
 sign of sigma_nn alone rounding would decide, where particles bear nothing.
 
-**Forces.** The traction t = -sigma_nn n + q of the surface on the sand does its work on the same velocity v_f. By
-virtual power a particle gives to a node
+**Forces.** The traction t = -sigma_nn n + q of the surface, whose normal part pushes and never pulls, does its work on
+v_f. By virtual power (Nitsche 1971; Peskin 2002, section 6) a particle gives to a node
 
     f_ip = w_ip V0 [delta t - (4 / dx^2) (sigma + delta d t n^T) x_ip]
-
-Stress and contact belong to one energy: a layer at rest neither gains any nor sinks, wherever the surface cuts the
-grid, and a uniform stress is in equilibrium with its surface. It is Nitsche's condition (Nitsche 1971) with the
-particle's own stress as the multiplier and no penalty; the delta is that of an immersed boundary (Peskin 2002, section
-6) and makes it smooth in the place of the solid. The normal traction pushes and never pulls.
 
 **Friction.** The shear traction q is elastic until it slips, dq/dt = -mu_s delta (v_f - n (n . v_f)) with the sand's
 shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma_nn) (Cundall & Strack 1979).
 
 **Turbulence.** A solid with a coefficient xi [m/s^2] brakes with the square of the speed besides (Voellmy 1955; Salm
-1993), a terrain perhaps with another xi at each place in plan. With the particle's density rho and
-v_t = v_f - n (n . v_f),
+1993). With the particle's density rho and v_t = v_f - n (n . v_f),
 
     |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / (xi I),    I = 2 e (1 - 7/2 D^2 + 3 D^3),    D <= e / 2
     e = min(max(2 D, phi / G(0), THINNEST), 1),    phi_p = sum_i w_ip m_i / (rho dx^dim)
     D_p = sum_i w_ip H_i / sum_i w_ip m_i,    H_i = sum_p w_ip m_p min(d_p / h, 1)
 
-I is the integral of delta over a layer of e widths whose mean distance from the bed is D: the mean of
-2 e (1 - 4 D^2 + 4 D^3) for many rows of particles and of e h delta(D h) for one. It is 1 for e = 1 and D = 1/2. Two
-quotients of sums over the grid tell e. D is half the thickness of a layer that stands on the bed; it hardly depends on
-where the bed cuts the grid, on the ends of the layer and on walls beside it. A single row of particles that slides does
-sink to the bed in time, for the grid does not resolve it: then phi, the part of space that the material around a
-particle fills, tells how much there is. G(0) = 11/20 is what a thin sheet gives to itself over the grid, per cell of
-thickness: the middle of the quintic B-spline, which two quadratic ones make. So the traction per area of the bed is
-whole under thin layers too: one of thickness t that moves as a block on an incline has the speed v with
-dv/dt = g (sin a - mu cos a) - g v^2 / (xi t). Below e = THINNEST it fades: a lone grain on the bed has no thickness.
-The second term acts on all that is within the width of the contact, whether it presses at the moment or
-not: a flow over small bumps presses for a part of the time, with a mean pressure that bears its weight, and a drag of
-that part alone would be too small. The holds of deep nodes and the stop of a particle that meets a face take mu of an
-impulse, as without turbulence: the drag is no share of an impulse, and the delta gives all of it.
+I is the integral of delta over a layer of e widths whose mean distance from the bed is D, so that a thin layer feels
+the whole drag; G(0) = 11/20 is what a thin sheet gives to itself over the grid, per cell of thickness. Below
+e = THINNEST it fades: a lone grain on the bed has no thickness. It acts on all that is within the width of the contact,
+whether it presses at the moment or not. The holds of deep nodes and the stop of a particle that meets a face take mu of
+an impulse alone: the delta gives all of the drag.
 
 **Deep nodes.** A node deep in a solid is in the support of the first row alone, which could not keep it in balance.
 It is held like a node behind a wall of the box (`mpm.physics.boundary`), by each face k that it lies behind in part:
@@ -64,12 +50,9 @@ from mpm.physics.pore_pressure import total_stress
 from mpm.solids.face_lookup import TINY, entry_of, face_number, holds_of_node, normal_of, solid_of
 from mpm.solids.terrain import bed_hold
 
-NO_FACE = -2.0 * FIRST_FACE
-"""Less than the number of any face among reals."""
-SHEET = 0.55
-"""What a thin sheet gives to itself over the grid, per cell of thickness [-]."""
-THINNEST = 0.1
-"""Thickness [widths of contact] of the thinnest layer that feels the whole drag."""
+NO_FACE = -2.0 * FIRST_FACE  # less than the number of any face among reals
+SHEET = 0.55  # what a thin sheet gives to itself over the grid, per cell of thickness [-]
+THINNEST = 0.1  # thickness [widths of contact] of the thinnest layer that feels the whole drag
 
 
 @ti.func
@@ -97,7 +80,7 @@ def normal_stress(stress: ti.template(), contact: ti.template(), dimension: ti.t
     for i in ti.static(range(dimension)):
         for j in ti.static(range(dimension)):
             both = contact[Contact.NORMAL + i] * contact[Contact.NORMAL + j]
-            value = value + both * stress[ti.static(component(i, j, dimension))]
+            value = value + both * stress[ti.static(component(i, j))]
     return value
 
 
@@ -181,13 +164,6 @@ def weight_in_layer(turbulence: ti.template(), volume):
 
 
 @ti.func
-def distance_in_widths(scene, block, arrays: ti.template()):
-    """Distance of the particles of a block from solids [widths of contact], at most 1."""
-    width = arrays.settings[scene, Setting.CONTACT_WIDTH]
-    return minimum(arrays.state[contact_at(block, Contact.DISTANCE, arrays)] / width, 1.0)
-
-
-@ti.func
 def drag_share(solid, x, scene, arrays: ti.template()):
     """1 / xi [s^2/m] at `x` [m] of a solid whose xi varies, and its slopes along x and z; 1 of others, without slopes.
 
@@ -257,9 +233,8 @@ def push(block, scratch, arrays: ti.template()):
     """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
     features = arrays.features
     contact = contact_of(block, arrays)
-    foot = [
-        (0.0 - contact[Contact.DISTANCE]) * contact[Contact.NORMAL + k] for k in ti.static(range(features.dimension))
-    ]
+    away = 0.0 - contact[Contact.DISTANCE]
+    foot = [away * contact[Contact.NORMAL + k] for k in ti.static(range(features.dimension))]
     pushed = surface_force(total_stress(block, foot, arrays), contact, features.dimension)
     for k in ti.static(range(2 * features.dimension)):
         arrays.scratch[scratch + features.scratch.push + k] = pushed[k]

@@ -21,7 +21,7 @@ from mpm.arrays.access import (
     put_lane_numbers,
     vectors,
 )
-from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker
+from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, TerrainNumber, Worker
 from mpm.physics.boundary import add_impulse, after_contact, contact_delta
 from mpm.physics.contact import contact_at
 from mpm.solids.face_lookup import (
@@ -39,23 +39,11 @@ from mpm.solids.face_lookup import (
     solid_of,
     unlisted_distance,
 )
-from mpm.solids.terrain import (
-    bed_contact,
-    bed_spacing,
-    lowest_node,
-    nearness,
-    nine,
-    place_in_bed,
-    spline_sums,
-    varied_friction,
-)
+from mpm.solids.terrain import bed_contact, bed_spacing, lowest_node, nine, place_in_bed, spline_sums, varied_friction
 
-FAR = 1.0e30
-"""Distance [m] of what is not there."""
-MAX_CROSSINGS = 3
-"""Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
-LONGER = 0.25
-"""Cells beyond the distance that is searched up to which a face is followed: particles that hover there need none."""
+FAR = 1.0e30  # distance [m] of what is not there
+MAX_CROSSINGS = 3  # faces along which the displacement of one step is led; beyond them the particle stays where it was
+LONGER = 0.25  # cells beyond the searched distance up to which a face is followed: what hovers there searches none
 
 
 @ti.func
@@ -182,7 +170,8 @@ def find_bed(block, scratch, nearby, worker, scene, arrays: ti.template()):
     put_known(contact + Contact.FACE, nearest, face, arrays)
     put_known(contact + Contact.FREE, nearest, other, arrays)
     # Beyond the search a lower bound; the distance of a face that is nearer stays.
-    bound = ti.select(other < nearby, other, minimum(other, above * nearness(scene, arrays)))
+    nearness = arrays.terrain[arrays.offsets[scene, Offset.TERRAIN] + TerrainNumber.NEARNESS]
+    bound = ti.select(other < nearby, other, minimum(other, above * nearness))
     arrays.state[contact + Contact.DISTANCE] = ti.select(nearest, outside, bound)
     if ti.static(features.listed):
         put_known(contact + Contact.DELTA, nearest, delta, arrays)
@@ -210,9 +199,7 @@ def turn_traction(block, arrays: ti.template()):
 
 @ti.func
 def keep_out(block, scratch, lane, bound, worker, scene, arrays: ti.template()):
-    """Contact of the particle in `lane` of a block, which does not follow the inside of a face; bound: its distance is
-    no less [m].
-    """
+    """Contact of the particle in `lane` that does not follow the inside of a face, no nearer than `bound` [m]."""
     free = arrays.lanes[contact_at(block, Contact.FREE, arrays) * arrays.features.lanes + lane]
     if free > 0.0:
         stop_at_face(block, scratch, lane, worker, scene, arrays)

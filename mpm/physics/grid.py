@@ -23,8 +23,7 @@ from mpm.physics.contact import apply_solids
 from mpm.physics.inflow import held_behind
 from mpm.solids.terrain import FAR_BELOW, bed_under
 
-SLOW = 1.0e-3
-"""Speed over sqrt(g dx) below which local damping fades [-]."""
+SLOW = 1.0e-3  # speed over sqrt(g dx) below which local damping fades [-]
 
 
 @ti.func
@@ -179,9 +178,7 @@ def velocity_before(node, arrays: ti.template()):
 
 @ti.func
 def moved_node(node, indices, bed, held, worker, scene, dt, kappa, arrays: ti.template()):
-    """The node `indices` of the box, shape [D], over a `bed`, with its new velocity for its momentum, and its change
-    new - kept old. held: whether solids may hold it.
-    """
+    """The node `indices`, [D], over a `bed` with its new velocity and its change; held: whether solids may hold it."""
     features = arrays.features
     mass, old = node[features.dimension], velocity_before(node, arrays)
     a, _ = acceleration(node, scene, arrays)

@@ -21,10 +21,8 @@ from mpm.physics.contact import contact_at
 BEHIND, BESIDE, BELOW, SLACK = 3.0, 1.5, 2.0, 0.01
 """Cells of nodes that are held around a section, whose foot is BELOW, at any height; SLACK, by rounding, before it. The
 support of a quadratic B-spline is one and a half along each axis."""
-EARLY = 1.0e-5
-"""Frames by which a particle may enter before its time, so that rounding leaves none outside at the end."""
-NEVER = -1.0
-"""Speed of an inflow that has not begun, or has ended."""
+EARLY = 1.0e-5  # frames by which a particle may enter before its time, so that rounding leaves none outside at the end
+NEVER = -1.0  # speed of an inflow that has not begun, or has ended
 
 
 @ti.func

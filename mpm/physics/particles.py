@@ -137,7 +137,9 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     features = arrays.features
     first = no_overflow(block * features.state.size)
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
-    strengths = strengths_of(scene, block, dt, arrays)
+    strain = vectors(arrays.state, first + features.state.plastic_strain, int(features.softens))
+    dx, values = arrays.settings[scene, Setting.CELL], law_values(scene, block, arrays)
+    strengths = features.law.strengths(values, strain, dx, dt, features)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
     opened, closed = 0.0 * stress[0], 0.0 * stress[0]
@@ -224,13 +226,3 @@ def law_value(scene, block, column: ti.template(), arrays: ti.template()):
         return property_of(scene, block, column, arrays)
     else:
         return 0.0 * property_of(scene, block, columns[0], arrays)
-
-
-@ti.func
-def strengths_of(scene, block, dt, arrays: ti.template()):
-    """The strengths of a block in this step, as its law's return takes them."""
-    features = arrays.features
-    values = law_values(scene, block, arrays)
-    softened = block * features.state.size + features.state.plastic_strain
-    strain = vectors(arrays.state, softened, int(features.softens))
-    return features.law.strengths(values, strain, arrays.settings[scene, Setting.CELL], dt, features)

@@ -19,8 +19,7 @@ from mpm.arrays.access import add, clamp, dot, maximum, minimum, no_overflow, ov
 from mpm.arrays.layout import Contact, Offset, Setting, Worker
 from mpm.physics.boundary import contact_delta, is_wall
 
-COVERED = 0.5
-"""Component of a solid's normal across a wall from which on it covers the wall for the particles that touch it."""
+COVERED = 0.5  # component of a solid's normal across a wall from which on it covers that for particles that touch it
 
 
 @ti.func

@@ -28,9 +28,9 @@ single lanes are summed at the nodes. A node is given its value at the lowest on
 
 import taichi as ti
 
-from mpm.arrays.access import clamp, columns_deep, no_overflow, vectors
+from mpm.arrays.access import clamp, columns_deep, minimum, no_overflow, vectors
 from mpm.arrays.features import NODE
-from mpm.arrays.layout import PADDING, Address, Offset, Property, Setting, Worker, component
+from mpm.arrays.layout import PADDING, Address, Contact, Offset, Property, Setting, Worker, component
 from mpm.arrays.nodes import (
     add_to_column,
     column_sums,
@@ -45,7 +45,7 @@ from mpm.arrays.nodes import (
 )
 from mpm.physics.channel import side_friction
 from mpm.physics.columns import node_at
-from mpm.physics.contact import distance_in_widths, push, touches
+from mpm.physics.contact import contact_at, push, touches
 from mpm.physics.inflow import waits
 from mpm.physics.pore_pressure import from_wall, presses_on, total_stress, wall_pressure
 from mpm.physics.volume_correction import held_affine, is_loose, looseness
@@ -227,7 +227,9 @@ def leave_contributions(scene, block, scratch, mass, volume, f: ti.template(), d
         for k in ti.static(features.not_given):
             arrays.scratch[values + k] = 0.0 * mass
     if ti.static(features.turbulent):
-        arrays.scratch[values + features.node.distance] = mass * distance_in_widths(scene, block, arrays)
+        away = arrays.state[contact_at(block, Contact.DISTANCE, arrays)]
+        widths = minimum(away / arrays.settings[scene, Setting.CONTACT_WIDTH], 1.0)
+        arrays.scratch[values + features.node.distance] = mass * widths
 
 
 @ti.func
@@ -245,7 +247,7 @@ def contributions(carried: ti.template(), mass, volume, f: ti.template(), dx, fe
     for i in ti.static(range(features.dimension)):
         for j in ti.static(range(features.dimension)):
             at = ti.static(i * features.dimension + j)
-            forces[at] = force_scale * stress[ti.static(component(i, j, features.dimension))]
+            forces[at] = force_scale * stress[ti.static(component(i, j))]
             pull[i] = pull[i] - forces[at] * f[j]
             momentum[i] = momentum[i] - slopes[at] * f[j]
     return momentum, slopes, pull, forces
@@ -366,9 +368,8 @@ def share_sums(first, scratch, loose, arrays: ti.template()):
                 for i in ti.static(range(size)):
                     k = ti.static(size * i + j)
                     arrays.scratch[scratch + features.scratch.gradient + k] = arrays.scratch[slope + i]
-                    arrays.scratch[scratch + features.scratch.changes + k] = arrays.scratch[
-                        slope + features.node.change + i
-                    ]
+                    change = arrays.scratch[slope + features.node.change + i]
+                    arrays.scratch[scratch + features.scratch.changes + k] = change
     if not loose:
         for i, j in ti.static(ti.ndrange(size, size)):
             arrays.state[first + features.state.affine + size * i + j] = arrays.scratch[values + (1 + j) * NODE + i]

@@ -1,13 +1,10 @@
 """Gaps between particles that have come apart: volume correction.
 
-A law for stress rates cannot tell how far sand has opened: the first compression after a flight would be resisted
-although the grains are still apart, and the deposit would stay as loose as it flew. So a particle carries its gap,
-the volume strain e that opened it without stress, and e must close before it bears anything (Tampubolon et al. 2017;
-the direction of cracks: `mpm.physics.stress.with_cracks`).
-
-Integrated strain alone drifts: particles move with the grid's velocities, not with the affine fit C that strains them,
-and a lone particle keeps its C for ever. Where a particle that carries no tension is open, its gap therefore follows
-that of the grid's density, backward in time over T_g = sqrt(dx / g) / 4:
+A law for stress rates cannot tell how far sand has opened. So a particle carries its gap, the volume strain e that
+opened it without stress, and e must close before it bears anything (Tampubolon et al. 2017; the direction of cracks:
+`mpm.physics.stress.with_cracks`). Integrated strain alone drifts: a lone particle keeps its affine fit C, which strains
+it, for ever. Where a particle that carries no tension is open, its gap therefore follows that of the grid's density,
+backward in time over T_g = sqrt(dx / g) / 4:
 
     e <- (e + dt / T_g min(e_s, max(15 e, e_s - 0.04))) / (1 + dt / T_g)
     e_s = max(0, 2 (1 - r) / (1 + r)) = -ln r + O((1 - r)^3)
@@ -16,17 +13,15 @@ that of the grid's density, backward in time over T_g = sqrt(dx / g) / 4:
 
 rho_p is exact in the mean inside a body, but single particles scatter by 3 % at the default jitter, ten times the
 elastic strain of a bed. So what the grid shows within the scatter, up to 0.04, counts at most as 15 times the
-particle's own gap: sand that stops bearing for a few milliseconds, as a bed does whenever it rebounds, opens by its own
-strain (by the scatter a bed pressed on a baffle with 1.25 times its static thrust), and sand in free fall follows the
-grid all the way after 2 T_g. What is beyond the scatter counts at once: sand that flies apart must not bear meanwhile,
-by the strain of its affine motion, or energy comes from nowhere.
+particle's own gap: a bed that rebounds for a few milliseconds opens by its own strain (by the scatter one pressed on a
+baffle with 1.25 times its static thrust), and sand in free fall follows the grid all the way after 2 T_g. What is
+beyond the scatter counts at once: sand that flies apart must not bear meanwhile, or energy comes from nowhere.
 
 Beside a free surface rho_p falls short, to 0.62 rho_0 at the outer one of two particles in a cell. There the centre of
 mass o lies inwards, by 0.2 cells, and 1 - 2 |o| is the share that such a surface leaves. A wall of the box and a solid
 hide mass, too, but are no surface: y cells from one the share f = 1 - n^2 / 2, n = 1 - y / 1.7, is left, and o points
 away from it by 0.2 min(n - 0.1, 0.6)_+ / f (both fitted to a half-space whose nodes have B-spline weights). Only what
-o falls short of that is counted: so a dense layer of half a cell on a floor, both of whose surfaces a particle sees, is
-not taken for loose sand, and sand that comes down is on the floor before it bears.
+o falls short of that is counted: so a dense layer of half a cell on a floor is not taken for loose sand.
 
 At a boundary of soils of different density the grid has another density than the particle's own.
 """
@@ -37,14 +32,12 @@ from mpm.arrays.access import TINY, clamp, magnitude, maximum, minimum, no_overf
 from mpm.arrays.layout import Contact
 from mpm.arrays.properties import GAP_CUTOFF
 
-DEEPEST = 0.25
-"""Least share of the density that a free surface is taken to leave."""
+DEEPEST = 0.25  # least share of the density that a free surface is taken to leave
 SCATTER, FASTEST = 0.04, 15.0
 """Volume strain [-] that the scatter of particles can feign, and the most that it counts as over the particle's own
 gap [-]: so a gap grows by e^14 in T_g at most."""
 
-LEAST = 1.0e-8
-"""Volume strain [-] that counts as none: rounding is as large."""
+LEAST = 1.0e-8  # volume strain [-] that counts as none: rounding is as large
 
 
 @ti.func

@@ -5,9 +5,8 @@ flow (Terzaghi 1923; Biot 1941, of grains that cannot be compressed):
 
     dp/dt = Q [div(kappa (grad p - rho_w g)) - div v]
 
-with Q and kappa of `datasets.scene.water`. p is a field of the cells of the grid, constant volume strain over each:
-that of each particle times Q would make of the scatter of particles, which no node feels, a scatter of p that opens and
-slides grains at random (the locking of Nagtegaal, Parks & Rice 1974, cured as by Hughes 1980). A step is
+with Q and kappa of `datasets.scene.water`. p and the volume strain are fields of the cells of the grid (Hughes 1980;
+the reasons of all this are in docs/theory/pore-water.md). A step is
 
     p_c = sum_p V_p p_p / sum_p V_p,    e_c = sum_p V_p tr(D_p) / sum_p V_p        over the particles p in cell c
     delta + L f = -Q e_c + dt Q kappa div(grad p_c - rho_w g),   f = max(p_c + delta, -u_c) - max(p_c, -u_c)
@@ -15,11 +14,9 @@ slides grains at random (the locking of Nagtegaal, Parks & Rice 1974, cured as b
 
 with the slope s_c of p_c between the neighbours of a cell and its centre of mass x_c: so a linear pressure stays as it
 is, and what particles keep of other cells is gone. L = -(dt Q kappa + (dt c)^2) Laplace, c^2 = Q / rho: backward in
-time for the flow of water, and for its pressure waves as much, so that these do not shorten the step. At a wave number
-k 1 / Q + (dt k)^2 / rho then stands for 1 / Q, which over M is (step_fraction k dx)^2 more. L acts on the change f of
-what presses, down to the suction u that water bears: pores that are open carry no waves and pass nothing on. Were L to
-act on delta itself, it would smooth how far pores have opened over their neighbours, and grains would bear and brake by
-strains that they never had: a very wet column ran 15 % less far in the usual step than in a short one.
+time for the flow of water, and for its pressure waves as much, so that these do not shorten the step. L acts on the
+change f of what presses, down to the suction u that water bears: pores that are open carry no waves and pass nothing
+on; were it to act on delta itself, it would smooth over the neighbours how far pores have opened.
 
 **Grains** strain by the water that flows: full pores keep their volume, and what the numerical Q lets it change is no
 strain of the skeleton. The volume strain of the grains of a particle in a step is
@@ -27,32 +24,25 @@ strain of the skeleton. The volume strain of the grains of a particle in a step 
     e_g = e_c - w_c - (q_p - change of max(p_p, 0)) / Q,    w_c = -waves (L f)_c / Q
 
 with q_p the part of the change of p_p that is not delta_c, by which particles of a cell share their pressure, and w_c
-the strain that the waves' part of L takes away. Where p > 0 that is the flow alone, kappa div(grad p - rho_w g) dt:
-undrained grains keep their mean effective stress to rounding, whatever Q, E and the scatter of e_c. Where water has
-opened, it is e_c but for the sharing, and the stress comes back as p does.
+the strain that the waves' part of L takes away.
 
 Projected Gauss-Seidel sweeps (Cryer 1971) over red and black cells solve the system, from delta without L on: a few
 keep it stable, and a uniform strain is exact before the first.
 
 Where a cell has no saturated neighbour is a surface, with p = 0, or something solid, which is tight or a drain: a wall
 of the box or what particles in the cell touch. A gap of one cell between two others is neither. Through a surface water
-leaves and enters: grains that are relieved swell, and draw in what little that takes (p' / M of the volume) by a
-suction of p' at most, their own mean effective stress; so p tends to that of water at rest from above and from below.
+leaves and enters; it draws in what little that takes by a suction of the grains' mean effective stress at most. At a
+tight solid nothing flows, and the slope there is that at rest; a surface lies as far from the centre of mass of a cell
+as what fills it from the other side tells.
 
-At a tight solid nothing flows, and the slope there is that at rest; a surface lies as far from the centre of mass of
-a cell as what fills it from the other side tells.
-
-**Dilation.** Grains that dilate while they shear suck, those that contract press on their water: the return map does
-that, at the volume that water keeps. Where a material of the scene dilates, water bears a suction up to that of
-cavitation, and no more than presses grains on each other; it ends with the dilation (`softening_length`).
+**Dilation.** Where a material of the scene dilates, water bears a suction up to that of cavitation, and no more than
+presses grains on each other; it ends with the dilation (`softening_length`).
 
 **Opening.** Else water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes
-before it presses again. Grains do the same with their gap e (`mpm.physics.volume_correction`). Such strain drifts: in
-a flow that shears, openings add up that the places of the particles do not show, and neither water nor grains would
-press again. So where both are open, p < 0 and e > 0, the gap follows the density of the grid down, e <- min(e, its
-value there), and what it loses is volume strain of the particle, by which p grows. It never follows the density up:
-such a gap could not close while water fills it, and the grains would have lost their friction for good. For the same
-reason all that opens at a solid is strain.
+before it presses again. Grains do the same with their gap e (`mpm.physics.volume_correction`). Such strain drifts. So
+where both are open, p < 0 and e > 0, the gap follows the density of the grid down, e <- min(e, its value there), and
+what it loses is volume strain of the particle, by which p grows. It never follows the density up: such a gap could not
+close while water fills it. For the same reason all that opens at a solid is strain.
 """
 
 import taichi as ti
@@ -67,14 +57,10 @@ from mpm.physics.pore_pressure import suction_held
 from mpm.physics.transfer import lowest_column, particles_in, property_of, volume_of
 from mpm.physics.water_cells import solve_cells
 
-MOST = 10.0
-"""Diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice."""
-STEEPEST = 3.0
-"""Deviator over mean pressure that no grains without cohesion bear [-]."""
-DAMPING = 0.5
-"""Part of the last f by which the pressure in the forces is ahead: it damps the water's pressure waves."""
-LEANING = 0.05
-"""Least component of a solid's normal along an axis by which it closes the cells' faces across that."""
+MOST = 10.0  # diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice
+STEEPEST = 3.0  # deviator over mean pressure that no grains without cohesion bear [-]
+DAMPING = 0.5  # part of the last f by which the pressure in the forces is ahead: it damps the water's pressure waves
+LEANING = 0.05  # least component of a solid's normal along an axis by which it closes the cells' faces across that
 
 
 @ti.func

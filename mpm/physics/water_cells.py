@@ -14,8 +14,7 @@ from mpm.arrays.layout import PADDING, Beside, Face, Offset, Pore, Setting, Span
 from mpm.physics.boundary import is_wall
 from mpm.physics.grid import has_node, own_node, owner_of, owns
 
-FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12
-"""Sweeps: so many, more by the coefficient of the Laplacian over dx^2, at most."""
+FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12  # so many, more by the Laplacian's coefficient over dx^2, at most
 
 
 @ti.func
@@ -62,10 +61,7 @@ def listed_cell(worker, n, of_evens, arrays: ti.template()):
 
 @ti.func
 def list_cells(worker, scene, arrays: ti.template()):
-    """List the cells with water of a worker, every other one from its first line on, the rest from its last line back.
-
-    Their sums become means.
-    """
+    """List a worker's cells with water, even ones from its first line on, odd ones from its last; sums become means."""
     table, deep, even, odd = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays), 0, 0
     first = arrays.workers[worker, Worker.NODE]
     end = first + arrays.workers[worker, Worker.USED]
@@ -126,9 +122,7 @@ def pass_cells_on(worker, scene, arrays: ti.template()):
 
 @ti.func
 def neighbour(place, face: ti.template(), steps: ti.template(), worker, scene, arrays: ti.template()):
-    """The cell so many steps beyond a face of the one at `place`, its column of the box and its j, of a worker; -1
-    where none with water is.
-    """
+    """The cell so many steps beyond a face of that at `place`, (column of the box, j); -1 where none with water is."""
     axis = ti.static(face // 2)
     towards = ti.static(steps * (2 * (face % 2) - 1))
     column, j, result = place[0], place[1], -1

@@ -22,10 +22,8 @@ from mpm.arrays.layout import BED_FIRST, BED_PER_CELL, PADDING, Offset, TerrainN
 
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
-MOST_SAMPLES = 4
-"""Along each side of the square around a node of the lattice."""
-PORTION = 2**20
-"""Nodes of the lattice whose elevations are found together."""
+MOST_SAMPLES = 4  # along each side of the square around a node of the lattice
+PORTION = 2**20  # nodes of the lattice whose elevations are found together
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,14 +31,10 @@ class Bed:
     """Elevations of a height field on the lattice of a box; X times Z nodes."""
 
     field: HeightField
-    spacing: float
-    """Between the nodes [m]."""
-    x: Floats
-    """Of the nodes [m], shape [X]."""
-    z: Floats
-    """[m], shape [Z]."""
-    heights: Floats
-    """[m], shape [X, Z]."""
+    spacing: float  # between the nodes [m]
+    x: Floats  # of the nodes [m], shape [X]
+    z: Floats  # [m], shape [Z]
+    heights: Floats  # [m], shape [X, Z]
 
     def at_nodes(self, at_posts: Floats) -> Floats:
         """Numbers of the posts at the nodes, shape [X, Z]."""
@@ -69,17 +63,12 @@ class Bed:
         return matrix.tocsr()
 
     def contact(self, points: Floats, frictions: Floats) -> tuple[Floats, Floats, Floats]:
-        """d [m], n and the friction [-] at points [m], shape [N, 3], as the kernel finds them; [N], [N, 3], [N].
-
-        frictions: of the nodes.
-        """
+        """d [m], n and friction [-] at points [m], [N, 3], as the kernel has them of `frictions`; [N], [N, 3], [N]."""
         i, wx, sx = spline(points[:, 0], self.x, self.spacing)
         k, wz, sz = spline(points[:, 2], self.z, self.spacing)
         around = i[:, None, None] + np.arange(3)[:, None], k[:, None, None] + np.arange(3)
         rise = self.heights[around] - points[:, 1, None, None]
-        height, along, across = (
-            np.einsum("nij,ni,nj->n", rise, *factors) for factors in ((wx, wz), (sx, wz), (wx, sz))
-        )
+        height, along, across = (np.einsum("nij,ni,nj->n", rise, *pair) for pair in ((wx, wz), (sx, wz), (wx, sz)))
         length = np.sqrt(1.0 + along**2 + across**2)
         normal = np.stack([-along, np.ones_like(along), -across], axis=1) / length[:, None]
         friction = np.full(len(points), float(frictions.flat[0]))
@@ -116,7 +105,8 @@ def spline(at: Floats, nodes: Floats, spacing: float) -> tuple[NDArray[np.int64]
 def bed_of(field: HeightField, domain: Domain) -> Bed:
     """The bed of a height field in a box; the same for the same field and box."""
     spacing = domain.cell / BED_PER_CELL
-    x, z = (lattice_axis(count, spacing) for count in node_shape(domain)[::2])
+    counts = [BED_PER_CELL * (nodes - 1 - 2 * PADDING) + 2 * BED_FIRST + 1 for nodes in node_shape(domain)[::2]]
+    x, z = (np.asarray(spacing * (np.arange(count) - BED_FIRST), np.float64) for count in counts)
     heights = np.zeros((len(x), len(z)))
     offsets = [sample_offsets(spacing, posts) for posts in (field.x, field.z)]
     for dz in offsets[1].tolist():
@@ -135,12 +125,6 @@ def frictions_of(bed: Bed, most: float) -> Floats:
     """Those of the nodes of a bed [-], shape [X, Z], with at most `most` at the posts; [1, 1] where all have one."""
     at_posts = np.minimum(bed.field.friction, most)
     return at_posts if at_posts.size == 1 else bed.at_nodes(at_posts)
-
-
-def lattice_axis(nodes: int, spacing: float) -> Floats:
-    """Coordinates [m] of the lattice along an axis of a grid with so many nodes."""
-    count = BED_PER_CELL * (nodes - 1 - 2 * PADDING) + 2 * BED_FIRST + 1
-    return np.asarray(spacing * (np.arange(count) - BED_FIRST), np.float64)
 
 
 def bed_arrays(

@@ -9,12 +9,9 @@ import taichi as ti
 from mpm.arrays.layout import FIRST_FACE, PADDING, Offset, Setting
 from mpm.solids.terrain import in_terrain
 
-SKIN = 1.0e-3
-"""Cells by which rounding may have put a particle behind the face it rests on."""
-SLACK = 0.25
-"""Cells by which a particle may be beside its cell and find the nearest face in the list of that cell still."""
-TINY = 1.0e-20
-"""Keeps quotients finite."""
+SKIN = 1.0e-3  # cells by which rounding may have put a particle behind the face it rests on
+SLACK = 0.25  # cells by which a particle may be beside its cell and find the nearest face in its list still
+TINY = 1.0e-20  # keeps quotients finite
 
 
 @ti.func
@@ -121,14 +118,9 @@ def unlisted_distance(x, entry, scene, arrays: ti.template()):
                 low_x, high_x = low * cell, (low + arrays.offsets[scene, Offset.WINDOW_X + k]) * cell
                 apart = ti.max(low_x - x[k], x[k] - high_x, 0.0 * cell)
                 square += apart * apart
-            bound = reach_of(scene, arrays) + ti.sqrt(square)
+            # Beyond the distance up to which faces are listed (`mpm.solids.obstacles.farthest`).
+            bound = arrays.settings[scene, Setting.SEARCH_DISTANCE] + cell + ti.sqrt(square)
     return bound
-
-
-@ti.func
-def reach_of(scene, arrays: ti.template()):
-    """The distance from solids up to which the nearest face is found [m] (`mpm.solids.obstacles.farthest`)."""
-    return arrays.settings[scene, Setting.SEARCH_DISTANCE] + arrays.settings[scene, Setting.CELL]
 
 
 @ti.func
@@ -268,9 +260,7 @@ def nearest_face(x, last, entry, scene, arrays: ti.template()):
 
 @ti.func
 def margin(x, weights, part, a, b, c, arrays: ti.template()):
-    """How far `x` [m] may move with its foot on the same part of a face still [m], by what `foot_on_face` gives; 0 at
-    the corner of a triangle.
-    """
+    """How far `x` may move with its foot (`foot_on_face`) on the same part of a face [m]; 0 at a triangle's corner."""
     free = 0.0 * x[0]
     if ti.static(arrays.features.dimension == 2):
         along, length = b - a, (b - a).norm()

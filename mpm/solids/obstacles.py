@@ -49,20 +49,16 @@ Array = NDArray[Any]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-BLEND = 0.5
-"""Distance beyond that of the nearest face [cells] from which another one holds a node no more."""
+BLEND = 0.5  # distance beyond that of the nearest face [cells] from which another one holds a node no more
 
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
     """A box of cells, and of the nodes at their lowest corners; D dimensions."""
 
-    low: tuple[int, ...]
-    """The lowest node, as the grid counts from its first padding node, shape [D]."""
-    shape: tuple[int, ...]
-    """Cells along each axis, shape [D]."""
-    cell: float
-    """[m]."""
+    low: tuple[int, ...]  # the lowest node, as the grid counts from its first padding node, shape [D]
+    shape: tuple[int, ...]  # cells along each axis, shape [D]
+    cell: float  # [m]
 
     @property
     def count(self) -> int:
@@ -116,27 +112,15 @@ class Obstacles:
     faces: Array
     """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], number
     of its solid; see `mpm.arrays.features.Features.face`; shape [F, columns]."""
-    cell_faces: Array
-    """Where the list of each cell begins in `near_faces`, shape [C + 1] of each scene."""
-    near_faces: Array
-    """The faces near the cells."""
-    cell_distance: Array
-    """No point of a cell is nearer to a face that its list is without [m], shape [C + 1]."""
-    node_holds: Array
-    """Where those of each node begin in `holds`, shape [C + 1]."""
-    holds: Array
-    """Of each hold its face, the friction there [-] and its share [-], shape [K, 3]."""
-    covered: Array
-    """Of each node the sides of the box that a solid covers, bit k for side k of x-, x+, y-, ..., shape [C + 1]."""
-    windows: tuple[Window, ...]
-    """Of each scene."""
-    beds: tuple[Bed | None, ...]
-    """Of each scene."""
-    frictions: tuple[Floats, ...]
-    """Of the posts of their terrain [-], shape [X, Z], or [1, 1] where it is one; empty without a bed."""
-
-
-TABLES = ("faces", "cell_faces", "near_faces", "cell_distance", "node_holds", "holds", "covered")
+    cell_faces: Array  # where the list of each cell begins in `near_faces`, shape [C + 1] of each scene
+    near_faces: Array  # the faces near the cells
+    cell_distance: Array  # no point of a cell is nearer to a face that its list is without [m], shape [C + 1]
+    node_holds: Array  # where those of each node begin in `holds`, shape [C + 1]
+    holds: Array  # of each hold its face, the friction there [-] and its share [-], shape [K, 3]
+    covered: Array  # of each node the sides of the box that a solid covers, bit k for x-, x+, y-, ..., shape [C + 1]
+    windows: tuple[Window, ...]  # of each scene
+    beds: tuple[Bed | None, ...]  # of each scene
+    frictions: tuple[Floats, ...]  # of the posts of their terrain [-], [X, Z]; [1, 1] where it is one; empty without
 
 
 def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
@@ -153,9 +137,10 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
         starts = {"cell_faces": part.cell_faces + near, "node_holds": part.node_holds + hold}
         numbers = {"near_faces": part.near_faces + face, "holds": part.holds + np.array([face, 0.0, 0.0])}
         shifted.append(vars(part) | starts | numbers)
-    together: dict[str, Any] = {name: np.concatenate([tables[name] for tables in shifted]) for name in TABLES}
-    for name in ("windows", "beds", "frictions"):
-        together[name] = tuple(value for part in parts for value in getattr(part, name))
+    of_scenes = ("windows", "beds", "frictions")
+    together: dict[str, Any] = {name: sum((vars(part)[name] for part in parts), ()) for name in of_scenes}
+    for name in shifted[0].keys() - of_scenes:
+        together[name] = np.concatenate([tables[name] for tables in shifted])
     return Obstacles(**together), firsts[:, :3]
 
 
@@ -210,7 +195,7 @@ def face_lines(surface: Surface) -> Floats:
 
 
 @lru_cache(maxsize=4)
-def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: float = NO_SLIP) -> Obstacles:
+def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: float) -> Obstacles:
     """The solids with the surface `solid` in a box, listed up to `cutoff` cells from faces; runs of one geometry share
     them.
 
@@ -338,7 +323,7 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
 
 
 def contact_delta(distance: Floats, width: float) -> Floats:
-    """delta_h [1/m] of distances [m], as `mpm.physics.pore_pressure.contact_delta` has it."""
+    """delta_h [1/m] of distances [m], as `mpm.physics.boundary.contact_delta` has it."""
     q = np.clip(distance / width, 0.0, 1.0)
     return np.asarray(2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q)))
 

@@ -19,8 +19,7 @@ from mpm.arrays.layout import BED_FIRST, BED_PER_CELL, PADDING, BedUnder, Offset
 FADE = 0.5
 """Depth [cells] in a solid by which its hold of a node has grown from nothing to all. Where it is three quarters of a
 cell, nodes give way while a bed is laid against the solid, and its thrust is up to 15 % too low."""
-FAR_BELOW = -1.0e30
-"""Elevation [m] of a bed that is not there."""
+FAR_BELOW = -1.0e30  # elevation [m] of a bed that is not there
 
 
 @ti.func
@@ -30,12 +29,6 @@ def in_terrain(face, scene, arrays: ti.template()):
         return face >= arrays.offsets[scene, Offset.TERRAIN_FACE]
     else:
         return False
-
-
-@ti.func
-def nearness(scene, arrays: ti.template()):
-    """The least part of the height above the bed that is the distance from it [-]."""
-    return arrays.terrain[arrays.offsets[scene, Offset.TERRAIN] + TerrainNumber.NEARNESS]
 
 
 @ti.func
@@ -61,9 +54,7 @@ def lowest_node(x, axis: ti.template(), scene, arrays: ti.template()):
 
 @ti.func
 def place_in_bed(i, k, scene, arrays: ti.template()):
-    """Where the elevation of a node of the lattice stands in `terrain`, where its friction or the one that all have,
-    and the step to the next node along x.
-    """
+    """Places in `terrain` of a lattice node's elevation and of its friction or the bed's one; the step along x."""
     along, across = lattice_nodes(0, scene, arrays), lattice_nodes(2, scene, arrays)
     height = arrays.offsets[scene, Offset.TERRAIN] + ti.static(len(TerrainNumber)) + i * across + k
     friction = height + along * across

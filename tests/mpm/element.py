@@ -1,7 +1,8 @@
 """A single material element: the solver's constitutive law, driven without a grid, in vectors of lanes as there."""
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 import taichi as ti
@@ -68,27 +69,37 @@ def path_kernel(features: Features) -> Callable[..., None]:
 
 @cache
 def return_kernel(features: Features) -> Callable[..., None]:
-    """(stresses, properties): principal stresses, four blocks of lanes after another, returned in place.
-
-    The fourth of each is overwritten with what opening cost.
-    """
+    """(properties, principal stresses, these returned and what opening cost): three and four blocks after another."""
     blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, ti.f64), ndim=1)
 
     @ti.kernel
-    def return_all(s: blocks, m: ti.types.ndarray()):
-        for e in range(s.shape[0] // 4):
-            t1, t2, t3, opened = return_principal(
-                s[4 * e],
-                s[4 * e + 1],
-                s[4 * e + 2],
-                [m[column] for column in ti.static((Column.SIN_PHI, Column.SIN_PSI, Column.STRENGTH, Column.LIMIT))],
-                m[Property.LAME],
-                m[Property.SHEAR],
-                features,
-            )
-            s[4 * e], s[4 * e + 1], s[4 * e + 2], s[4 * e + 3] = t1, t2, t3, opened
+    def return_all(m: ti.types.ndarray(), s: blocks, t: blocks):
+        for e in range(s.shape[0] // 3):
+            columns = ti.static((Column.SIN_PHI, Column.SIN_PSI, Column.STRENGTH, Column.LIMIT))
+            strengths, lame, shear = [m[column] for column in columns], m[Property.LAME], m[Property.SHEAR]
+            s1, s2, s3 = s[3 * e], s[3 * e + 1], s[3 * e + 2]
+            t1, t2, t3, opened = return_principal(s1, s2, s3, strengths, lame, shear, features)
+            t[4 * e], t[4 * e + 1], t[4 * e + 2], t[4 * e + 3] = t1, t2, t3, opened
 
     return return_all
+
+
+def of_elements(function: Callable[..., None], features: Features, *matrices: NDArray[Any], rows: int) -> NDArray[Any]:
+    """What `function` makes in lanes of E elements, each a column of `matrices`, in its last argument, [rows, E]."""
+    runtime.start(features.precision, enough=1)
+    lanes, count = features.lanes, matrices[0].shape[1]
+    blocks = -(-count // lanes)
+    real: np.dtype[Any] = np.dtype(np.float64 if features.precision == "f64" else np.float32)
+    source = np.minimum(np.arange(blocks * lanes), count - 1)
+
+    def packed(columns: NDArray[Any]) -> NDArray[Any]:
+        memory = aligned((blocks, len(columns), lanes), real)
+        put_vectors(memory, 0, columns[:, source].T)
+        return memory.reshape(-1, lanes)
+
+    result = aligned((blocks * rows, lanes), real)
+    function(*map(packed, matrices), result)
+    return np.moveaxis(result.reshape(blocks, rows, lanes), 1, 0).reshape(rows, -1)[:, :count].astype(np.float64)
 
 
 def follow_states(
@@ -109,14 +120,8 @@ def follow_states(
     flags = law_of([material]).features([material], [])
     if material.law == MOHR_COULOMB:
         flags |= {"dilates": True, "cohesive": cohesive}
-    features = Features(
-        dimension=gradients.shape[1],
-        precision=precision,
-        law_name=material.law,
-        recorded=Recorded(strain=True),
-        volume_correction=corrected,
-        **flags,
-    )
+    flags |= {"law_name": material.law, "recorded": Recorded(strain=True), "volume_correction": corrected}
+    features = Features(dimension=gradients.shape[1], precision=precision, **flags)
     real = np.dtype(np.float64 if precision == "f64" else np.float32)
     width = features.stresses + 2
     stress = aligned((width, features.lanes), real)
@@ -157,13 +162,8 @@ def follow_controlled(
 
 def returned(material: Material, stresses: Vector) -> tuple[Vector, Vector]:
     """Sorted principal stresses [Pa], shape [E, 3], returned, and the mean stress that opening cost [Pa], shape [E]."""
-    runtime.start("f64", enough=1)
     features = Features(dimension=2, precision="f64", dilates=material.dilation_deg > 0.0, cohesive=True)
-    count, lanes = len(stresses), features.lanes
-    blocks = aligned((-(-count // lanes), 4, lanes), np.dtype(np.float64))
-    padded = np.zeros((len(blocks) * lanes, 4))
-    padded[:count, :3] = stresses
-    put_vectors(blocks, 0, padded)
-    return_kernel(features)(blocks.reshape(-1, lanes), np.array(properties_row(material, 1.0), np.float64))
-    result = np.moveaxis(blocks, 1, 2).reshape(-1, 4)[:count]
-    return result[:, :3], result[:, 3]
+    runtime.start("f64", enough=1)
+    kernel = partial(return_kernel(features), np.array(properties_row(material, 1.0), np.float64))
+    result = of_elements(kernel, features, stresses.T, rows=4)
+    return result[:3].T, result[3]

@@ -19,8 +19,7 @@ from mpm.simulation import LARGE, Crew
 from tests.refusals import refused
 from tests.scenes import COLUMN, SAND, box, room
 
-TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
-"""Thirteen times the wave speed of SOFT."""
+TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))  # thirteen times the wave speed of SOFT
 SOFT = dataclasses.replace(SAND, young=2.0e6)
 
 

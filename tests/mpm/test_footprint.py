@@ -93,8 +93,7 @@ def test_a_range_grows_with_the_work_and_falls_with_the_processors() -> None:
 
 
 SLOPE, RADIUS, END, FRICTION = np.radians(30.0), 60.0, 600.0, 0.3
-FOOT = 260.0
-"""x of the foot [m], where the slope of 300 m would meet the level without the arc between."""
+FOOT = 260.0  # x of the foot [m], where the slope of 300 m would meet the level without the arc between
 
 
 def mountainside() -> Scene:
@@ -182,12 +181,8 @@ def test_a_tolerance_is_a_percentage_or_a_fraction(text: str, value: float) -> N
 
 
 def test_the_cheapest_within_the_tolerance_is_picked() -> None:
-    measurements = [
-        measured(10, 0.06, 1.0),
-        measured(20, 0.03, 8.0),
-        measured(40, 0.015, 64.0),
-        measured(15, 0.028, 9.0, points=3),
-    ]
+    rows = (10, 0.06, 1.0), (20, 0.03, 8.0), (40, 0.015, 64.0)
+    measurements = [*(measured(*row) for row in rows), measured(15, 0.028, 9.0, points=3)]
     assert resolved(SQUARE, 0.05, measurements).cells == 20.0
     assert resolved(SQUARE, 0.029, measurements).scene.particles_per_axis == 3
     assert resolved(SQUARE, 0.015, measurements).cells == 40.0
@@ -204,9 +199,8 @@ def test_a_cell_divides_every_side_of_the_box(lengths: tuple[float, ...], larges
     cell = fitted_cell(Domain(size=lengths, cell=0.01), largest)
     assert cell <= largest * (1.0 + 1e-9)
     # Scenes on other grids are refused.
-    dataclasses.replace(
-        SQUARE, domain=Domain(size=lengths, cell=cell), masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)),)
-    )
+    masses = (Mass(lower=(0.0, 0.0), size=(0.2, 0.2)),)
+    dataclasses.replace(SQUARE, domain=Domain(size=lengths, cell=cell), masses=masses)
 
 
 def test_masses_that_touch_are_one_body_and_a_side_from_wall_to_wall_does_not_count() -> None:

@@ -24,9 +24,8 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
     return box(block, cell=0.05, duration=0.01, frame_dt=0.0025, seed=index)
 
 
-TINY = Definition(
-    name="tiny", size=4, split=lambda index: (Split.TRAIN, Split.VALID, Split.TEST, Split.TRAIN)[index], draw=draw
-)
+SPLITS = Split.TRAIN, Split.VALID, Split.TEST, Split.TRAIN
+TINY = Definition(name="tiny", size=4, split=lambda index: SPLITS[index], draw=draw)
 
 FILES = ["test/tiny-0002.npz", "train/tiny-0000.npz", "train/tiny-0003.npz", "valid/tiny-0001.npz"]
 

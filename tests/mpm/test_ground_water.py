@@ -158,7 +158,5 @@ The same search gave 1.377 for 1.38 without water (Bishop & Morgenstern 1960), a
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("slope", "water", "factor"), FACTORS)
-def test_factors_with_water_are_those_of_slip_circles(
-    slope: KnownSlope, water: dict[str, float], factor: float
-) -> None:
+def test_factors_with_water_are_those_of_slip_circles(slope: KnownSlope, water: dict[str, Any], factor: float) -> None:
     assert safety_factor(with_water(slope, 20, **water)).factor == pytest.approx(factor, rel=0.03)

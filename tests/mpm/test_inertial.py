@@ -18,14 +18,10 @@ from tests.scenes import COLUMN, SAND, box, scene_of
 
 Floats = NDArray[np.float64]
 
-DEPTH = 0.2
-"""Of the layer [m]."""
-CELLS = 20
-"""Over the depth."""
-PERIOD = 10
-"""Cells along the slope."""
-STEPS = 12
-"""Steps in a frame; in each a wave travels by 0.4 cells."""
+DEPTH = 0.2  # of the layer [m]
+CELLS = 20  # over the depth
+PERIOD = 10  # cells along the slope
+STEPS = 12  # steps in a frame; in each a wave travels by 0.4 cells
 
 
 class EndlessLayer:

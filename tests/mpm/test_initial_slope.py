@@ -21,17 +21,12 @@ from validation.bench.stability.quantities import middle_displacement
 
 SLOPE, MU = math.radians(22.0), math.tan(math.radians(21.0))
 SOIL = Material(friction_deg=35.0, young=2.7e6)
+SETTINGS = {"cell": 0.25, "material": SOIL, "duration": 2.0, "frame_dt": 0.25, "open_sides": ("x-", "x+")}
 
 
 def layer(how: str = "slope_deg", friction: float = MU, **changes: Any) -> Scene:
     """40 x 1 m, free at its ends, on 22 degrees: by gravity, on a slab, in two parts, or on a terrain line."""
-    settings: dict[str, Any] = {
-        "cell": 0.25,
-        "material": SOIL,
-        "duration": 2.0,
-        "frame_dt": 0.25,
-        "open_sides": ("x-", "x+"),
-    } | changes
+    settings: dict[str, Any] = SETTINGS | changes
     if how in ("terrain", "polygon"):
         fall = math.tan(SLOPE)
         ground = Solid(kind="terrain", points=((0.0, 60.0 * fall + 1.0), (60.0, 1.0)), friction=friction)
@@ -48,9 +43,7 @@ def layer(how: str = "slope_deg", friction: float = MU, **changes: Any) -> Scene
         if how == "baffle":
             solid = {"baffles": (Baffle(lower=(0.0, 0.0), **below),)}
         parts = (0.4, 0.6) if how == "stack" else (1.0,)
-        masses = [
-            Mass(lower=(10.0, 0.3 + foot), size=(40.0, y)) for y, foot in zip(parts, (0.0, parts[0]), strict=False)
-        ]
+        masses = [Mass(lower=(10.0, 0.3 + y), size=(40.0, h)) for h, y in zip(parts, (0.0, parts[0]), strict=False)]
         return scene_of(*masses, size=(60.0, 3.0), slope_deg=22.0, **solid, **settings)
     wide = () if how == "slope_deg" else (0.5,)
     mass = Mass(lower=(10.0, 0.0, *(0.0 * z for z in wide)), size=(40.0, 1.0, *wide))
@@ -100,9 +93,7 @@ def test_a_cohesive_block_that_friction_holds(k0: str | None, slides: float, ris
     """From equilibrium it stays; free of stress it shakes, and comes off its ground a little more with each swing."""
     soil = Material(friction_deg=40.0, cohesion=1.0e5, tension_cutoff=1.0e4, young=5.0e6)
     block = Mass(lower=(0.5, 0.0), size=(0.4, 0.1), k0=k0)
-    flow = simulate(
-        scene_of(block, size=(3.0, 0.6), cell=0.02, slope_deg=30.0, floor_friction=0.9, material=soil, duration=1.0)
-    )
+    flow = simulate(scene_of(block, size=(3.0, 0.6), slope_deg=30.0, floor_friction=0.9, material=soil, duration=1.0))
     moved = (flow.positions[-1] - flow.positions[0]).mean(axis=0)
     assert 0.0 <= moved[0] < slides
     assert abs(moved[1]) < rises
@@ -118,8 +109,7 @@ def test_between_smooth_solids_the_ground_rubs_nearly_whole(foot: float) -> None
         slab = Solid(lower=(0.0, 0.0, 0.0), size=(60.0, foot, 1.5), friction=MU)
         solids = {"solids": (slab, *(Solid(**wall) for wall in walls))}
     mass = Mass(lower=(10.0, foot, 0.5), size=(40.0, 1.0, 0.5))
-    settings = {"cell": 0.25, "material": SOIL, "duration": 2.0, "frame_dt": 0.25, "open_sides": ("x-", "x+")}
-    scene = scene_of(mass, size=(60.0, 3.0, 1.5), slope_deg=22.0, **solids, **settings)
+    scene = scene_of(mass, size=(60.0, 3.0, 1.5), slope_deg=22.0, **solids, **SETTINGS)
     moved = float((middle_displacement(simulate(scene, threads=1)) @ downhill(scene)).mean())
     friction = (math.sin(SLOPE) - 2.0 * moved / (9.81 * scene.duration**2)) / math.cos(SLOPE)
     assert 0.955 * MU < friction < 1.005 * MU

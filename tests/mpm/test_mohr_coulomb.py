@@ -49,12 +49,10 @@ def test_the_return_does_not_know_the_axes(dilation_deg: float) -> None:
     principal[6:12, 1] = principal[6:12, 2]
     principal[12:14] = principal[12:14, :1]
     expected, _ = returned(sand, principal)
-    for values, rotated_result, turn in zip(principal, expected, rotations(60), strict=True):
+    for values, after, turn in zip(principal, expected, rotations(60), strict=True):
         start = components(turn @ np.diag(values) @ turn.T)
         result = follow(sand, np.zeros((1, 3, 3)), start)[0]
-        np.testing.assert_allclose(
-            tensor(result), turn @ np.diag(rotated_result) @ turn.T, atol=2e-3 * np.abs(values).max()
-        )
+        np.testing.assert_allclose(tensor(result), turn @ np.diag(after) @ turn.T, atol=2e-3 * np.abs(values).max())
 
 
 def test_plane_strain_in_three_dimensions_is_the_two_dimensional_law() -> None:
@@ -257,9 +255,7 @@ def test_friction_and_cohesion_soften_linearly_in_shear() -> None:
 
 def test_dilation_ends_at_the_critical_state() -> None:
     """A dense sand sheared at constant volume presses outwards until the softening length is used up, then no more."""
-    dense = Material(
-        friction_deg=42.0, dilation_deg=12.0, residual_friction_deg=33.0, softening_length=0.01, young=1.0e7
-    )
+    dense = Material(friction_deg=42.0, dilation_deg=12.0, residual_friction_deg=33.0, softening_length=0.01, young=1e7)
     start, path = np.array([-1e5, -1e5, -1e5, 0.0]), sheared(0.03, 0.1, 6000)
     history, strain, _ = follow_states(dense, path, start, cell=0.1)
     mean, slip = -history[:, :3].mean(axis=1), np.sqrt(3.0) * strain * 0.1
@@ -272,9 +268,7 @@ def test_dilation_ends_at_the_critical_state() -> None:
 
 def test_the_apex_limits_the_cutoff_on_the_way() -> None:
     """Where phi falls and c stays, c cot phi rises, but more slowly at first than the line between its ends."""
-    soil = stiff(
-        friction_deg=40.0, residual_friction_deg=10.0, cohesion=1.0e4, tension_cutoff=1.0e6, softening_length=0.1
-    )
+    soil = stiff(friction_deg=40.0, residual_friction_deg=10.0, cohesion=1e4, tension_cutoff=1e6, softening_length=0.1)
     path = np.concatenate([sheared(0.05, 1.0, 500, 3), np.tile(1e-5 * np.eye(3), (300, 1, 1))])
     history, strain, _ = follow_states(soil, path)
     w = 1.0 - np.sqrt(3.0) * strain[-1] / 0.1

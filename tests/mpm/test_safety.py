@@ -15,8 +15,7 @@ from mpm.safety import reduced
 from tests.refusals import refused
 from validation.bench.stability.slopes import KNOWN, SAND, TAYLOR, KnownSlope
 
-UNDRAINED = dataclasses.replace(TAYLOR, cohesion=2.0 * TAYLOR.cohesion)
-"""Twice as strong as it needs to be."""
+UNDRAINED = dataclasses.replace(TAYLOR, cohesion=2.0 * TAYLOR.cohesion)  # twice as strong as it needs to be
 
 
 @pytest.mark.slow

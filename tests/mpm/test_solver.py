@@ -24,8 +24,7 @@ from validation.bench.stability.exact_solutions import (
 )
 
 box, room = partial(scenes.box, duration=0.2), partial(scenes.room, duration=0.2)
-DEPOSIT = dataclasses.replace(WITH_FIELDS, frames="last")
-"""Compiles no other kernel than `WITH_FIELDS`."""
+DEPOSIT = dataclasses.replace(WITH_FIELDS, frames="last")  # compiles no other kernel than `WITH_FIELDS`
 TALL = Mass(lower=(0.0, 0.0), size=(0.2, 0.4))
 FIRM = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisson=0.0, young=1.0e6)
 """Too strong to yield: an elastic solid."""
@@ -228,8 +227,7 @@ def test_the_default_relaxation_scales_with_the_flow() -> None:
     assert fronts[1] == pytest.approx(10.0 * fronts[0], rel=1e-3)
 
 
-WALLED = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisson=0.3, young=1.0e7)
-"""Too strong to yield: an elastic solid."""
+WALLED = dataclasses.replace(FIRM, poisson=0.3, young=1.0e7)
 
 
 @pytest.mark.parametrize(("friction_deg", "floor"), [(0.0, 0.1), (20.0, 0.1), (20.0, 0.0), (60.0, 0.1)])

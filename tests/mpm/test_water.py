@@ -95,9 +95,7 @@ def test_water_at_rest_moves_nothing() -> None:
     assert np.allclose(pressures(flow)[-1].mean(), 0.5 * water.DENSITY * GRAVITY * HEIGHT, rtol=0.02)
 
 
-STIFF = dataclasses.replace(
-    WET, young=2.0e6, cohesion=1.0, tension_cutoff=9.0, dilation_deg=10.0, softening_length=1.0e9
-)
+STIFF = dataclasses.replace(WET, young=2e6, cohesion=1.0, tension_cutoff=9.0, dilation_deg=10.0, softening_length=1e9)
 
 
 def squeezed(rate_x: float, rate_y: float, *, time: float = 2.0e-5) -> tuple[Trajectory, float, float]:
@@ -364,9 +362,7 @@ def test_columns_run_farther_the_more_water_bears() -> None:
 
 
 @pytest.mark.parametrize("bed", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_a_wet_scene_in_parts_is_the_same_flow_on_one_and_two_threads(
-    bed: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wet_scene_in_parts_is_the_same_on_one_and_two_threads(bed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     given: dict[str, Any] = {"young": 2.0e6, "duration": 0.06, "material": {"consolidation": 1.0e-3}}
     given |= {} if bed else {"solids": ()}
     whole = column(0.5, threads=1, **given)

@@ -68,9 +68,8 @@ def tape_of(scene: Scene, change: Change | None = None, *, exact: bool = False) 
 def value_of(scene: Scene, objective: Weighted, change: Change | None = None) -> float:
     """The objective of such a run."""
     tape = tape_of(scene, change)
-    return objective.value(
-        tape.positions(), tape.velocities(), tape.impulses() if objective.impulses is not None else None
-    )
+    impulses = None if objective.impulses is None else tape.impulses()
+    return objective.value(tape.positions(), tape.velocities(), impulses)
 
 
 def exact_gradient(scene: Scene, objective: Weighted, change: Change | None = None) -> Gradient:

@@ -18,16 +18,9 @@ pytestmark = pytest.mark.double
 SAND = Material(friction_deg=30.0)
 WEAK = Material(friction_deg=30.0, cohesion=200.0, tension_cutoff=20.0)
 DILATING = dataclasses.replace(SOIL, dilation_deg=10.0, tension_cutoff=5.0)
-SOFTENING = Material(
-    friction_deg=35.0,
-    dilation_deg=8.0,
-    cohesion=300.0,
-    tension_cutoff=100.0,
-    softening_length=4.0e-3,
-    residual_friction_deg=25.0,
-    residual_cohesion=100.0,
-    residual_tension_cutoff=20.0,
-)
+PEAK = {"friction_deg": 35.0, "dilation_deg": 8.0, "cohesion": 300.0, "tension_cutoff": 100.0}
+RESIDUAL = {"residual_friction_deg": 25.0, "residual_cohesion": 100.0, "residual_tension_cutoff": 20.0}
+SOFTENING = Material(**PEAK, **RESIDUAL, softening_length=4.0e-3)
 CLAY = Material(law="von-mises", friction_deg=0.0, constants={"strength": 500.0, "hardening": 300.0}, young=2.0e5)
 FAST_SHEAR = {"friction_limit_deg": 45.0, "grain_diameter": 5.0e-3, "inertial_number": 0.2}
 LEAVING = (
@@ -77,9 +70,7 @@ HILL = Solid(
 )
 XI = ((40.0, 20.0, 50.0), (15.0, 60.0, 30.0), (50.0, 20.0, 40.0))
 BAFFLED: dict[str, Any] = {"masses": NEAR, "baffles": (LEANING,), "baffle_friction": 0.3}
-FRICTIONS = Field(
-    quantity="friction_deg", values=(25.0, 35.0), origin=(0.0, 0.1), spacing=(0.3, 1.0), nodes=(2, 1), mass=None
-)
+FRICTIONS = Field(quantity="friction_deg", values=(25.0, 35.0), origin=(0.0, 0.1), spacing=(0.3, 1.0), nodes=(2, 1))
 SCENES = {
     # With its gaps remembered, a corner of this flow's path lies within the difference's step of friction_deg.
     "2D": plane(slope_deg=-20.0, volume_correction=False, duration=0.01),
@@ -126,8 +117,7 @@ SCENES = {
     "3D ground": room(masses=RAISED, solids=(HILL,), volume_correction=False, duration=0.015),
     "3D thrown": room(masses=HURLED, solids=(HILL,), volume_correction=False, duration=0.015),
 }
-FAST = ("2D",)
-"""The others have kernels of their own, which take long to compile."""
+FAST = ("2D",)  # the others have kernels of their own, which take long to compile
 
 MATERIAL = {
     **{"friction_deg": 1e-2, "young": 1e3, "poisson": 1e-4, "density": 1.0, "cohesion": 0.1, "tension_cutoff": 1e-1},
@@ -135,8 +125,7 @@ MATERIAL = {
     **{"friction_limit_deg": 1e-2, "inertial_number": 1e-4, "grain_diameter": 1e-6, "grain_density": 1.0},
 }
 SETTINGS = {"floor_friction": 1e-3, "wall_friction": 1e-3, "gravity": 1e-2, "slope_deg": 1e-2, "damping": 1e-4}
-Way = tuple[str | int, ...]
-"""Keys and indices from a scene to a number."""
+Way = tuple[str | int, ...]  # keys and indices from a scene to a number
 STEPS: dict[Way, float] = {
     **{("material", name): step for name, step in MATERIAL.items()},
     **{("material", "constants", name): 1.0 for name in ("strength", "hardening")},
@@ -295,9 +284,7 @@ def test_what_a_run_begins_with_is_made_anew_where_a_path_changes_it(change: dic
         for name in ("stress", "properties", "settings", "faces", "terrain"):
             np.testing.assert_array_equal(getattr(renewed, name), getattr(whole, name), err_msg=name)
         for name in ("positions", "velocities", "velocity_gradients", "friction", "volume"):
-            np.testing.assert_array_equal(
-                getattr(renewed.particles, name), getattr(whole.particles, name), err_msg=name
-            )
+            np.testing.assert_array_equal(*(getattr(run.particles, name) for run in (renewed, whole)), err_msg=name)
         ours, theirs = (
             {(*node, face): share for node, (face, _, share) in zip(run.held, run.holds, strict=True) if share > 0.0}
             for run in (renewed, whole)

@@ -9,24 +9,19 @@ import pytest
 import taichi as ti
 from numpy.typing import NDArray
 
-from mpm import runtime
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import plastic_return_reverse
-from mpm.arrays.batch import put_vectors
 from mpm.arrays.features import Features
-from mpm.arrays.kernel_arguments import aligned
 from mpm.physics.stress import midpoint_increment, plastic_return, trial_stress
+from tests.mpm.element import of_elements
 
 pytestmark = pytest.mark.double
 
 Array = NDArray[Any]
 
-STRENGTHS = 6
-"""As `mpm.laws.mohr_coulomb.return_principal` takes them; the last two are 0 where friction has no growth."""
-CONSTANTS = STRENGTHS + 2
-"""Then lambda, mu."""
-VON_MISES = "von-mises"
-"""Its strengths are the first two: the yield stress in shear and the hardening modulus."""
+STRENGTHS = 6  # as `mpm.laws.mohr_coulomb.return_principal` takes them; the last two are 0 where friction has no growth
+CONSTANTS = STRENGTHS + 2  # then lambda, mu
+VON_MISES = "von-mises"  # its strengths are the first two: the yield stress in shear and the hardening modulus
 
 
 def strength_count(features: Features) -> int:
@@ -90,36 +85,17 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
     return forwards, backwards
 
 
-def call(function: Callable[..., None], features: Features, inputs: Array, *others: Array, rows: int) -> Array:
-    """`function` of E elements, given as columns of `inputs` and `others`; the last argument is `rows` by E."""
-    runtime.start(features.precision, enough=1)
-    lanes, count = features.lanes, inputs.shape[1]
-    blocks = -(-count // lanes)
-    real: np.dtype[Any] = np.dtype(np.float64 if features.precision == "f64" else np.float32)
-    source = np.minimum(np.arange(blocks * lanes), count - 1)
-
-    def packed(columns: Array) -> Array:
-        memory = aligned((blocks, len(columns), lanes), real)
-        put_vectors(memory, 0, columns[:, source].T)
-        return memory.reshape(-1, lanes)
-
-    result = aligned((blocks * rows, lanes), real)
-    function(*(packed(matrix) for matrix in (inputs, *others)), result)
-    return np.moveaxis(result.reshape(blocks, rows, lanes), 1, 0).reshape(rows, -1)[:, :count].astype(np.float64)
-
-
 def stepped(features: Features, inputs: Array) -> Array:
     """Returned stresses of E elements, shape [4 or 6, E]."""
-    return call(kernels(features)[0], features, inputs, rows=features.stresses)
+    return of_elements(kernels(features)[0], features, inputs, rows=features.stresses)
 
 
 def reversed_step(features: Features, inputs: Array, adj: Array) -> Array:
     """Adjoints of `inputs` from those of the returned stresses, the shape of `inputs`."""
-    return call(kernels(features)[1], features, inputs, adj, rows=len(inputs))
+    return of_elements(kernels(features)[1], features, inputs, adj, rows=len(inputs))
 
 
-YOUNG = 100.0
-"""Lame's constants of the elements [Pa]: that of the cohesion is 1."""
+YOUNG = 100.0  # Lame's constants of the elements [Pa]: that of the cohesion is 1
 KINDS = [
     pytest.param(Features(dimension=size, precision="f64", dilates=strong, cohesive=strong, inertial=fast), id=name)
     for size, strong, fast, name in (
@@ -146,17 +122,10 @@ def inputs_of(stress: Array, random: np.random.Generator, features: Features, si
     strengths = [np.sin(phi), np.sin(psi), 2.0 * cohesion * np.cos(phi), limit]
     if features.law_name == VON_MISES:
         strengths = [*random.uniform(0.5, 50.0, (2, count)), 0.0 * phi, 0.0 * phi]
-    return np.concatenate(
-        [
-            stress,
-            size * random.normal(size=(dimension**2, count)),
-            strengths,
-            [np.sin(phi) + 0.2, 10.0 ** random.uniform(-2.0, 0.0, count)]
-            if features.inertial
-            else np.zeros((2, count)),
-            YOUNG * random.uniform(0.5, 2.0, (2, count)),
-        ]
-    )
+    increments, rates = size * random.normal(size=(dimension**2, count)), np.zeros((2, count))
+    if features.inertial:
+        rates[:] = np.sin(phi) + 0.2, 10.0 ** random.uniform(-2.0, 0.0, count)
+    return np.concatenate([stress, increments, strengths, rates, YOUNG * random.uniform(0.5, 2.0, (2, count))])
 
 
 def random_stresses(width: int, count: int, random: np.random.Generator) -> Array:

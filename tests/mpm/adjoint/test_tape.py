@@ -104,9 +104,8 @@ def test_scenes_side_by_side_are_as_alone() -> None:
     first, second = plane(volume_correction=True), plane(volume_correction=True, seed=3, gravity=40.0)
     tape = Tape([first, second], [8], threads=2)
     objectives = [Weighted(first), Weighted(second)]
-    together = pull_back_all(
-        tape, [[FlowAdjoints(objective.positions, objective.velocities) for objective in objectives]]
-    )[0]
+    adjoints = [FlowAdjoints(objective.positions, objective.velocities) for objective in objectives]
+    (together,) = pull_back_all(tape, [adjoints])
     for scene, objective, ours in zip((first, second), objectives, together, strict=True):
         _, alone = gradient(scene, objective, threads=1)
         np.testing.assert_array_equal(ours.velocities, alone.velocities)

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from datasets import Scene, Trajectory, read_scene
-from datasets.files import read_toml
-from datasets.schema import from_mapping
-from mpm.resolution import COVERAGE, Measurements, characteristic_length, resolved, with_resolution
+from mpm.resolution import COVERAGE, characteristic_length, read_measured, resolved, with_resolution
 from tests.scenes import flow_of
 from validation.bench.accuracy.bench import (
     Error,
@@ -97,7 +95,7 @@ def test_what_is_measured_is_what_a_tolerance_reads(tmp_path: Path) -> None:
     measurements = measured(2, errors_of(scenes, tried, 10.0, (0, 1), RunStore(tmp_path / "keep")))
     path = tmp_path / "resolution.toml"
     path.write_text(toml(measurements))
-    assert from_mapping(Measurements, read_toml(path)).measured == tuple(measurements)
+    assert read_measured(path) == tuple(measurements)
     assert [measurement.resolution for measurement in measurements] == tried
     assert measurements[0].promised >= measurements[1].promised > 0.0
     assert 0.0 < measurements[1].thickness < 0.5
