@@ -125,22 +125,29 @@ def reduced(scene: Scene, factor: float) -> Scene:
         stiff = dataclasses.replace(material, young=material.modulus * settlement / SETTLEMENT)
         return cast(Material, law_named(material.law).weakened(stiff, factor))
 
-    def standing(mass: Mass) -> Mass:
+    def flat(field: Field, number: int) -> Field:
+        material = bodies[number]
+        phi = (material.phi_deg_of(angle, material.dilation_deg) for angle in field.values)
+        return dataclasses.replace(field, mass=number, values=tuple(flatter(angle, factor) for angle in phi))
+
+    # One for each mass: angles of different kinds differ, too, where a field is of all.
+    varying = [field for field in scene.fields if field.quantity == FRICTION]
+    fields = [flat(field, k) for field in varying for k in range(len(bodies)) if field.mass in (None, k)]
+
+    def standing(number: int, mass: Mass) -> Mass:
         material = None if mass.material is None else weaker(mass.material)
+        if least := [min(field.values) for field in fields if field.mass == number]:
+            material = weaker(bodies[number])
+            material = dataclasses.replace(material, dilation_deg=min(material.dilation_deg, *least))
         k0 = "elastic" if mass.k0 is None else mass.k0
         still: dict[str, Any] = dict.fromkeys(("velocity", "angular_velocity", "release", "gate"))
         return dataclasses.replace(mass, material=material, k0=k0, **still)
 
-    def flat(field: Field) -> Field:
-        material = scene.material_of(scene.masses[field.mass or 0])
-        phi = (material.phi_deg_of(angle, material.dilation_deg) for angle in field.values)
-        return dataclasses.replace(field, values=tuple(flatter(angle, factor) for angle in phi))
-
     return dataclasses.replace(
         scene,
         material=weaker(scene.material),
-        masses=tuple(standing(mass) for mass in scene.masses),
-        fields=tuple(flat(field) for field in scene.fields if field.quantity == FRICTION),
+        masses=tuple(standing(number, mass) for number, mass in enumerate(scene.masses)),
+        fields=tuple(fields),
         stages=(),
         water=None if saturated(scene) is None else dataclasses.replace(scene.water or Water(), fixed=True),
         particles_per_axis=1,

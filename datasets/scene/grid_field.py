@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 
 VELOCITIES = ("velocity_x", "velocity_y", "velocity_z")
 FRICTION = "friction_deg"
+NEAR = 1.0e-4  # of the spacing: half of the step of a difference
 THICKNESS = "thickness"
 """Of a layer, vertically: its field lies in plan."""
 
@@ -66,6 +67,12 @@ class Grid:
         rows = np.arange(count + 1, dtype=np.int32) * node.shape[1]
         return csr_array((weight.ravel(), node.ravel(), rows), shape=(count, self.count))
 
+    def slopes(self, positions: Floats) -> list[Any]:
+        """Derivatives of the `weights` along each axis [1/m], sparse matrices of shape [N, K]."""
+        steps = NEAR * np.diag(self.spacing)
+        sides = ((self.weights(positions + step), self.weights(positions - step)) for step in steps)
+        return [(ahead - behind) / (2.0 * step.max()) for (ahead, behind), step in zip(sides, steps, strict=True)]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Field(Grid, Record):
@@ -87,3 +94,7 @@ class Field(Grid, Record):
         """Its values at `positions` [m], shape [N, D]; shape [N]."""
         places = positions[:, ::2] if self.quantity == THICKNESS else positions
         return np.asarray(self.weights(places) @ np.array(self.values))
+
+    def slope(self, positions: Floats) -> Floats:
+        """Its derivatives at `positions` [m], shape [N, D]; shape [N, D]."""
+        return np.stack([slopes @ np.array(self.values) for slopes in self.slopes(positions)], axis=1)

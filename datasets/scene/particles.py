@@ -110,6 +110,7 @@ def initial_particles(scene: Scene) -> Particles:
     material = np.array([materials.index(scene.material_of(mass)) for mass in scene.masses], np.int32)[number]
     spins = np.array([mass.spin for mass in scene.masses])
     alike = np.broadcast_to(spins[0], (len(number), *spins.shape[1:]))  # takes no memory
+    gradients = alike if (spins == spins[0]).all() else spins[number]
     placed, moving, friction_deg = np.concatenate(positions), np.concatenate(velocities), None
     for field in scene.fields:
         if field.quantity == THICKNESS:
@@ -120,11 +121,14 @@ def initial_particles(scene: Scene) -> Particles:
             friction_deg = np.where(here, values, angles if friction_deg is None else friction_deg)
         else:
             moving[:, field.axis] = np.where(here, values, moving[:, field.axis])
+            gradients = np.array(gradients)
+            covered = np.broadcast_to(here, len(placed))[:, None]
+            gradients[:, field.axis] = np.where(covered, field.slope(placed), gradients[:, field.axis])
     return Particles(
         positions=placed,
         velocities=moving,
         mass=number,
-        velocity_gradients=alike if (spins == spins[0]).all() else spins[number],
+        velocity_gradients=gradients,
         material=material,
         materials=materials,
         volume=initial_volumes(scene),

@@ -229,12 +229,15 @@ class UnknownField:
         """
         scene, settings, particles = gradient.scene, self.settings, gradient.particles
         if not self.in_plan:
-            if settings.quantity == FRICTION:
-                derivatives = gradient.material(FRICTION)
-            else:
-                derivatives = gradient.velocities[:, VELOCITIES.index(settings.quantity)]
-            derivatives = np.where(self.of(particles.mass), derivatives, 0.0)
-            return np.asarray(self.grid.weights(particles.positions).T @ derivatives)
+            here, places = self.of(particles.mass), particles.positions
+            weights, derivatives = [self.grid.weights(places)], [gradient.material(FRICTION)]
+            if settings.quantity != FRICTION:
+                # The affine motion of the particles is that of the field, too.
+                axis = VELOCITIES.index(settings.quantity)
+                weights += self.grid.slopes(places)
+                derivatives = [gradient.velocities[:, axis], *gradient.velocity_gradients[:, axis].T]
+            pairs = zip(weights, derivatives, strict=True)
+            return np.asarray(sum(rows.T @ np.where(here, values, 0.0) for rows, values in pairs))
         relative, places = settings.quantity == THICKNESS, self.places(scene)
         if settings.name not in slopes_by_name:
 

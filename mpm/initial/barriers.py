@@ -30,8 +30,8 @@ def barriers(scene: Scene, mass: Mass) -> list[tuple[int, Range]]:
     standing = []
     lowest = [floor_node(scene, length) - BEYOND for length in mass.lower]
     highest = [ceiling_node(scene, a + b) + BEYOND + 1 for a, b in zip(mass.lower, mass.size, strict=True)]
-    if mass.lower[1] > TOLERANCE:
-        # What lies below is another mass's: its barriers are its own.
+    if any(lies_below(other, mass, BEYOND * scene.domain.cell) for other in scene.masses):
+        # Its barriers are its own.
         lowest[1] = ceiling_node(scene, mass.lower[1])
     for axis in (0, 2)[: scene.dimension - 1]:
         low, high = mass.lower[axis], mass.lower[axis] + mass.size[axis]
@@ -44,6 +44,18 @@ def barriers(scene: Scene, mass: Mass) -> list[tuple[int, Range]]:
                 nodes[:, axis] = rows
                 standing.append((axis, nodes))
     return standing
+
+
+def lies_below(other: Mass, mass: Mass, reach: float) -> bool:
+    """Whether the top of another mass is below the foot of `mass`, within `reach` [m]."""
+    sides = [axis for axis in range(len(mass.lower)) if axis != 1]
+    within = all(
+        other.lower[axis] < mass.lower[axis] + mass.size[axis] + reach
+        and mass.lower[axis] < other.lower[axis] + other.size[axis] + reach
+        for axis in sides
+    )
+    foot, top = mass.lower[1], other.lower[1] + other.size[1]
+    return within and other.lower[1] < foot - TOLERANCE and top > foot - reach
 
 
 def floor_node(scene: Scene, length: float) -> int:

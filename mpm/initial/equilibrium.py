@@ -9,6 +9,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from datasets.errors import require
 from datasets.geometry.bodies import scene_height
 from datasets.scene import DOMAIN_SIDES, Scene, coefficient
 from datasets.scene.particles import Particles
@@ -39,6 +40,7 @@ ACCURACY = 1.0e-2  # relative residual of a solution; what is left belongs to th
 INERTIA = 0.01
 """Of the stiffness of a body's slowest mode, per mass, where it touches solids: nodes that lone particles at its edge
 cannot hold fall there, in place of loading these particles without bound."""
+UPWARD = 0.1  # vertical part of the normal of a solid that carries
 WEAK = 0.4  # of the largest nodal mass: lighter nodes are solved for directly
 SHIFT = 1.0e-9  # on the diagonal of the scaled block that is factorised: nodes of a single particle make it singular
 EXTRA_STEPS = 60  # steps of conjugate gradients after which the block is factorised anew
@@ -123,9 +125,23 @@ class Equilibrium:
                 for axis, (low, high) in barriers(scene, body):
                     inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
                     self.behind_barriers[inside & ~pressed[:, axis], axis] = True
+        self.check_support(scene, weights, mass)
         self.held = (walls != 0) | self.behind_barriers | self.rough[:, None]
         self.in_solids = self.contact.fixed_components(scene, self.nodes)
         self.free = ~(self.held | self.in_solids)
+
+    def check_support(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
+        """Raise InputError for a mass with a number for `k0` that neither ground nor masses with a `k0` carry."""
+        facing_up = self.contact.touching[self.contact.normal[:, 1] > UPWARD]
+        nodes = {number: weights.T @ (mass == number).astype(float) > 0.0 for number in np.unique(mass).tolist()}
+        carried = {n for n, own in nodes.items() if (own & (self.walls[:, 1] == 1)).any() or n in mass[facing_up]}
+        left = set(nodes) - carried
+        while more := {n for n in left if any((nodes[n] & nodes[other]).any() for other in carried)}:
+            carried, left = carried | more, left - more
+        for number in left:
+            expected = "ground or a mass with a k0 beneath the mass, or 'elastic'"
+            body = scene.masses[number]
+            require(clings(body) or body.k0 is None, f"masses[{number}].k0", expected, body.k0)
 
     def solution(self, stress: Floats) -> Floats:
         """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3], or the nearest to one."""

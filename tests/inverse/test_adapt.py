@@ -98,7 +98,8 @@ def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, weights: 
         assert len(flow.time) == 1
         assert flow.time[0] == pytest.approx(problem.scene.duration)
         np.testing.assert_allclose(values, [kind.read(flow.scene) for kind in problem.kinds])
-    assert deposits(adapted, replace(problem, parameters=(replace(problem.parameters[0], initial=31.0),)))
+    first = dataclasses.replace(problem.parameters[0], initial=31.0)
+    assert deposits(adapted, dataclasses.replace(problem, parameters=(first, *problem.parameters[1:])))
     other = problem_of(2, "cohesion")
     with pytest.warns(UserWarning, match="its runs of the MPM are of another problem, and are not used"):
         assert deposits(adapted, other) == []

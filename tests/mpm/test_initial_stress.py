@@ -183,6 +183,21 @@ def test_what_is_unbalanced_is_what_friction_does_not_bear(how: str, angle_deg: 
     assert [float(hit[1]) for hit in said if hit] == ([close] if exact > 0.0 else [])
 
 
+@pytest.mark.parametrize("stands", [False, True])
+def test_a_ratio_needs_something_that_carries_the_mass(stands: bool) -> None:
+    """In the air, or on a mass without a `k0`, the first guess had stresses of 1e17 Pa."""
+    lower = Mass(lower=(0.0, 0.0), size=(1.0, 0.1), k0=0.5 if stands else None)
+    scene = with_masses(BED_2D, lower, Mass(lower=(0.0, 0.1), size=(1.0, 0.2), k0=0.5), duration=0.01)
+    if stands:
+        simulate(scene, threads=1)
+    else:
+        said = "masses[1].k0: expected ground or a mass with a k0 beneath the mass, or 'elastic', got 0.5"
+        refused(simulate, scene, threads=1, said=said)
+        refused(
+            simulate, with_masses(scene, dataclasses.replace(scene.masses[1], lower=(0.0, 0.2))), said="masses[0].k0"
+        )
+
+
 @pytest.mark.parametrize(("k0", "cohesion"), [(0.32, 0.0), (3.1, 0.0), (0.19, 100.0)])
 def test_a_ratio_beyond_yield_is_refused_with_both_limits(k0: float, cohesion: float) -> None:
     """Rankine's 1/3 and 3; with a cohesion Bell's at the foot, where it adds least: -+ 2 c / (rho g H) sqrt(K)."""

@@ -13,6 +13,7 @@ from mpm import safety_factor
 from mpm.run import command
 from mpm.safety import reduced
 from tests.refusals import refused
+from tests.scenes import scene_of
 from validation.bench.stability.slopes import KNOWN, SAND, TAYLOR, KnownSlope
 
 UNDRAINED = dataclasses.replace(TAYLOR, cohesion=2.0 * TAYLOR.cohesion)  # twice as strong as it needs to be
@@ -55,6 +56,20 @@ def test_all_strength_is_reduced_and_nothing_else() -> None:
     tilted = dataclasses.replace(soil, angle="slope", friction_limit_deg=40.0, grain_diameter=0.001)
     steep = reduced(dataclasses.replace(scene, material=tilted, fields=()), 2.0).material
     assert steep.friction == pytest.approx(0.5 * tilted.friction)
+
+
+def test_a_field_of_all_masses_is_of_the_angle_of_each() -> None:
+    """And no dilation exceeds the friction that is left; a uniform field changes nothing."""
+    tilted = Material(friction_deg=30.0, angle="slope", dilation_deg=20.0)
+    uniform = Field(quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 1.0), nodes=(1, 1), values=(30.0,))
+    first, second = Mass(lower=(0.0, 0.0), size=(1.0, 1.0)), Mass(lower=(1.0, 0.0), size=(1.0, 1.0), material=tilted)
+    both = scene_of(first, second, size=(3.0, 2.0), cell=0.1, material=Material(friction_deg=30.0))
+    halves = [reduced(dataclasses.replace(both, fields=fields), 2.0) for fields in ((), (uniform,))]
+    alone, with_field = ([half.material_of(each) for each in half.masses] for half in halves)
+    assert [field.mass for field in halves[1].fields] == [0, 1]
+    for field, without, material in zip(halves[1].fields, alone, with_field, strict=True):
+        assert field.values[0] == pytest.approx(without.friction_deg)
+        assert material.dilation_deg <= field.values[0] + 1e-9
 
 
 def test_what_has_no_factor_of_safety_is_refused() -> None:

@@ -122,6 +122,27 @@ def test_particles_have_a_field_at_their_positions_and_one_of_a_mass_leaves_the_
     assert set(particles.velocities[particles.mass == 1, 0]) == {1.0}
 
 
+def test_a_field_of_velocity_brings_its_slope() -> None:
+    """In place of that of the mass's spin: a field at rest rests, and a rotation given by fields is that of a spin."""
+    spin, middle = 5.0, (0.5, 0.25)
+    turning = dataclasses.replace(
+        SCENE.masses[0], lower=(0.4, 0.2), size=(0.2, 0.1), velocity=None, angular_velocity=spin
+    )
+    scene = dataclasses.replace(SCENE, masses=(turning,), fields=())
+    grid = {"origin": (0.4, 0.2), "spacing": (0.2, 0.1), "nodes": (2, 2)}
+    corners = np.array([(0.4, 0.2), (0.4, 0.3), (0.6, 0.2), (0.6, 0.3)]) - middle
+
+    def given(factor: float) -> Scene:
+        parts = {"velocity_x": -spin * factor * corners[:, 1], "velocity_y": spin * factor * corners[:, 0]}
+        fields = (Field(quantity=name, values=tuple(values.tolist()), **grid) for name, values in parts.items())
+        return dataclasses.replace(scene, fields=tuple(fields))
+
+    exact, same, still = map(initial_particles, (scene, given(1.0), given(0.0)))
+    np.testing.assert_allclose(same.velocities, exact.velocities, atol=1e-12)
+    np.testing.assert_allclose(same.velocity_gradients, exact.velocity_gradients, atol=1e-8)
+    assert not still.velocity_gradients.any()
+
+
 @pytest.mark.parametrize(
     ("changes", "key"),
     [

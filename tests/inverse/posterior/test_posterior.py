@@ -97,6 +97,21 @@ def test_a_weak_parameter_has_a_direction_of_its_own() -> None:
     np.testing.assert_allclose(reduced(reduced.numbers(reduced(numbers))), reduced(numbers))
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_parameter_that_moves_nothing_keeps_its_prior(seed: int) -> None:
+    """Its slope is curvature and scatter; scaled to a slope of 1 in some seeds it halved the variance."""
+    rng, times = np.random.default_rng(seed), np.linspace(0.1, 1.0, 8)
+    points = np.concatenate([rng.random((11, 2)), np.full((2, 2), 0.5)])
+
+    def shown(place: Matrix) -> Matrix:
+        return np.minimum(times * (0.5 + 1.7 * place), 0.13 * (0.5 + 1.7 * place) ** 2)
+
+    numbers = shown(points[:, :1]) + 3e-4 * rng.standard_normal((13, 8))
+    target = target_of(shown(np.array([0.6])), Covariance(np.full(8, 5e-3)))
+    samples = posterior(points, numbers, target, scatter=np.full(8, 5e-3), rng=rng).samples
+    assert 0.85 < np.sqrt(12.0 * samples.covariance[1, 1]) < 1.1
+
+
 def test_repeated_runs_show_the_scatter_alone() -> None:
     rng = np.random.default_rng(0)
     locations = np.repeat(rng.random((30, 2)), 4, axis=0)

@@ -14,10 +14,10 @@ from datasets.scene.grid_field import Floats
 from inverse import Parameter, Problem, Result, TargetSettings
 from inverse.answer import Verdict
 from inverse.forward import Simulate
-from inverse.observations import FrontSettings
+from inverse.observations import FrontSettings, PassedSettings
 from inverse.observations.errors import Student
 from inverse.report import summary
-from inverse.residuals import residuals
+from inverse.residuals import outlying, residuals
 from inverse.saving import save
 from inverse.target import read_target
 from mpm import ALL, Recording
@@ -117,6 +117,44 @@ def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
     assert apart(result, quantiles(axes, -0.5 * squares / birge**2)) < 0.07
     assert result.answers[0].holds(np.array([SPEED, FRICTION][:unknowns])).all()
     assert list(fit.outliers) == [4]
+    assert fit.outliers[4] > 4.0  # observed beyond what the others predict
+
+
+def test_of_two_numbers_that_contradict_each_other_none_is_named(tmp_path: Path) -> None:
+    ends = tuple(FrontSettings(name=name, value=end, noise=NOISE) for name, end in (("a", RIGHT[-1]), ("b", 0.6857)))
+    problem = replace(problem_of(tmp_path, RIGHT, NAMES[:1]), observations=ends)
+    result = solved(problem, tmp_path, partial(slide, cells=0.5))
+    answer = result.answers[0]
+    assert answer.fit.outliers == {}
+    assert answer.fit.applied > 5.0
+    assert result.without["none"][NAMES[0]] == pytest.approx(0.5 * float(np.diff(answer.interval[:, 0])[0]), rel=0.1)
+    assert outlying(residuals(result)).startswith("No number is off")
+
+
+def test_what_no_run_changes_says_nothing(tmp_path: Path) -> None:
+    """No block gets as far as the line: alone that leaves the prior, beside a front it takes nothing away."""
+    problem = problem_of(tmp_path, RIGHT, NAMES[:1])
+    beyond = PassedSettings(value=0.0, line=1.8, noise=0.01)
+    both = solved(
+        replace(problem, observations=(FrontSettings(value=RIGHT[-1], noise=NOISE), beyond)), tmp_path / "both"
+    )
+    assert both.verdict is Verdict.CONFIRMED
+    assert both.answer[0] == pytest.approx(SPEED, abs=0.02)
+    alone = solved(replace(problem, observations=(beyond,)), tmp_path / "alone")
+    assert np.sqrt(alone.posterior.samples.covariance[0, 0]) == pytest.approx(12.0**-0.5, rel=0.05)
+    assert both.without["front"][NAMES[0]] > 0.9 * 0.475 * (BOUNDS[NAMES[0]][1] - BOUNDS[NAMES[0]][0])
+
+
+@pytest.mark.parametrize(
+    ("times", "known"), [(TIMES[::-1], False), ((*TIMES[:-1][::-1], 1.19), True), ((0.06,), False)]
+)
+def test_the_front_of_the_deposit_is_that_of_the_end(tmp_path: Path, times: Sequence[float], known: bool) -> None:
+    values = 0.3 + moved(np.array(times), np.array(SPEED), np.array(FRICTION))
+    seen = FrontSettings(times=tuple(times), values=tuple(values.tolist()), noise=NOISE)
+    problem = replace(problem_of(tmp_path, RIGHT, NAMES[:1]), observations=(seen,))
+    for asked in (problem, replace(problem, observations=(seen, PassedSettings(value=0.0, line=1.8, noise=0.01)))):
+        front_of_deposit = read_target(asked, lambda scene: slide([scene])[0]).front
+        assert front_of_deposit == pytest.approx(values.max()) if known else np.isnan(front_of_deposit)
 
 
 @pytest.mark.parametrize(("values", "fits"), [(RIGHT, True), (LATE, False)])

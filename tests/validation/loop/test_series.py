@@ -70,6 +70,11 @@ def test_deposits_share_the_runs_of_the_mpm(
     (out / "third" / "result.json").unlink()
     assert solve_series(problem, targets, out, model=adapted, simulate=mpm)[:2] == rows[:2]
     assert not mpm.scenes
+    # What has changed is.
+    mpm.run(problem.scene_at(np.array([40.0]), 950)).save(targets / "second.npz")
+    first, second, _ = solve_series(problem, targets, out, model=adapted, simulate=mpm)
+    assert (first, mpm.scenes != []) == (rows[0], True)
+    assert second["friction_deg from"] < 40.0 < second["friction_deg to"]
 
 
 @pytest.mark.parametrize(
