@@ -50,6 +50,11 @@ class Units:
         steps = max(1, round(scene.duration / (time * settings.step)))
         if steps > 1:
             time = scene.duration / (steps * settings.step)
+        return Units.of_time(scene, settings, time)
+
+    @staticmethod
+    def of_time(scene: Scene, settings: ModelSettings, time: float) -> "Units":
+        """Those in which gravity is the model's where a unit of time lasts `time` [s]."""
         length = time**2 * scene.gravity / GRAVITY
         density = scene.material_of(scene.masses[0]).density / settings.density
         return Units(length=length, time=time, stress=density * scene.gravity / GRAVITY * length)

@@ -1,6 +1,5 @@
 """Samples of the datasets for a training: drawn, thinned, turned, and side by side as a `SampleBatch`."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from datasets.scene.particles import observed_cohesion
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator, unroll
 from gns.surroundings.forces import Normalisation
-from gns.surroundings.initial import check, conditions_of
+from gns.surroundings.initial import check, conditions_of, resampled
 from gns.surroundings.solids import Below
 from gns.surroundings.state import Conditions, State, Tensors, in_model_units
 from gns.surroundings.units import Units
@@ -30,6 +29,7 @@ MOVING = 0.02  # root mean square speed above which a flow counts as moving, in 
 # Shares of the samples not of the first frame that start just after it, with a history from the initial velocities,
 # and while the flow moves; the rest starts anywhere: deposits at rest must stay.
 SHARE_EARLY, SHARE_MOVING = 0.12, 0.70
+NEARLY = 0.03  # of a step: frames so near to it are a step apart, as a rollout lasts whole steps
 TRIES = 16  # random times among which one is chosen at which the flow moves
 MOMENTS = 3  # times before the end of a rollout at which it may end as well
 SAMPLED_TIMES = 2048  # times in all over which the statistics run; where there are fewer, all
@@ -88,19 +88,24 @@ def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bo
 
 
 def flow_of(path: Path, settings: ModelSettings) -> Flow:
-    """The flow in a file, every so many frames that they are a step of the model apart. Its units are those in which a
-    rollout of the scene runs where its frames fit such a step; others are run as they are. Raises InputError."""
+    """The flow in a file, in the units in which a rollout of its scene runs, a step of the model apart: every so many
+    frames where these fit it to `NEARLY`, else linear in time between them. Raises InputError."""
     trajectory = open_trajectory(path)
     scene, frame_dt = trajectory.scene, trajectory.frame_dt
     check(scene, settings)
-    units = Units.of_model(scene, settings) if scene.gravity > 0.0 else Units()
-    if not math.isclose(frame_dt, units.time * settings.step, rel_tol=1.0e-9):
-        units = Units()
+    scaled = settings.body_length is not None and scene.gravity > 0.0
+    units = Units.of_model(scene, settings) if scaled else Units()
     step = units.time * settings.step
-    stride = round(step / frame_dt)
-    fits = stride >= 1 and abs(stride * frame_dt - step) <= 1.0e-6 * step
-    require(fits, "", f"frames {step:g} s apart or a whole fraction of it", f"{frame_dt:g}")
-    positions, volumes = trajectory.positions[::stride], trajectory.volumes.astype(np.float32)
+    stride = max(1, round(step / frame_dt))
+    if abs(stride * frame_dt - step) <= (NEARLY if scaled else 1.0e-6) * step:
+        positions, step = trajectory.positions[::stride], stride * frame_dt
+        units = Units.of_time(scene, settings, step / settings.step) if scaled else units
+    else:
+        require(scaled, "", f"frames {step:g} s apart or a whole fraction of it", f"{frame_dt:g}")
+        expected = f"frames at most {step:.4g} s apart, the model's step for a body of this size"
+        require(frame_dt < step, "", expected, f"{frame_dt:g}")
+        positions = resampled(trajectory, step)
+    volumes = trajectory.volumes.astype(np.float32)
     cohesion = observed_cohesion(scene, np.asarray(positions[0]), trajectory.mass)
     around = conditions_of(scene, units.length * settings.cell, trajectory.friction, cohesion, volumes, units)
     velocity0 = trajectory.velocity0
