@@ -223,7 +223,7 @@ def command(one: Path, other: Path, /, *, out: Path | None = None) -> None:
     Args:
         one: A trajectory (NPZ or HDF5), or the folder of a run that holds one.
         other: The one beside it.
-        out: Folder for comparison.md, comparison.png and comparison.json; the table is printed without, too.
+        out: Folder for comparison.md, comparison.png and comparison.json; without it the table is only printed.
     """
     paths = [trajectory_file(path) for path in (one, other)]
     first, second = (open_trajectory(path, "velocities", sound=True) for path in paths)

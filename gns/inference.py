@@ -1,7 +1,8 @@
 """Load a learned simulator, and roll a scene out with it: `gns.load`, `gns.simulate`, `gns.predict`."""
 
 import time
-from dataclasses import dataclass, replace
+import warnings
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, require
+from datasets.errors import InputError, WorkFailed, require
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
@@ -18,6 +19,7 @@ from gns import card, checkpoint
 from gns.library import model_path, shipped
 from gns.simulator import Simulator, StepModel, checked, on_threads, unroll
 from gns.surroundings.initial import initial_state
+from gns.surroundings.state import in_model_units
 
 
 def load(model: str | Path) -> Simulator:
@@ -46,7 +48,7 @@ def simulate(
     threads: of torch; device: where the model runs; progress: show a bar.
 
     Returns the trajectory at the model's step, the frames of `start` included; its summary has what
-    `python -m gns.rollout` writes. Raises InputError.
+    `python -m gns.rollout` writes. Raises InputError, and WorkFailed where positions are no numbers.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
     model = shipped(scene) if model is None else model
@@ -59,6 +61,14 @@ def simulate(
         moved = on_threads(threads, unroll, *given, progress=progress)
     positions, volume = np.concatenate((initial.known, moved[1:].cpu().numpy())), initial.conditions.volume.numpy()
     wall = time.perf_counter() - clock
+    if not np.isfinite(positions).all():
+        raise WorkFailed("the model's positions are not finite")
+    if isinstance(simulator, Simulator) and initial.steps > 0 and bool((moved[-1] == moved[0]).all()):
+        with torch.no_grad():
+            stands = bool(simulator.moment(*in_model_units(there.state, there.conditions)).stands().all())
+        if not stands:
+            message = "the surrogate leaves a mass at rest that its bed is too smooth or too steep to hold: ask the MPM"
+            warnings.warn(message, stacklevel=2)
     summary: dict[str, Any] = {**measures.extents(scene, positions[-1], volume), "steps": initial.steps}
     summary |= {"particles": len(initial.indices), "wall_s": wall, "device": str(device)}
     summary["start"] = "rest" if start is None else "frames"
@@ -78,7 +88,7 @@ def simulate(
 class Prediction:
     """The deposit of a flow, and how far the MPM's may be from it."""
 
-    deposit: NDArray[np.floating]
+    deposit: NDArray[np.floating] = field(repr=False)
     """Positions of the particles [m], shape [n, D]."""
     front: float
     """Front of that deposit [m]."""

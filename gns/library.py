@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from datasets.errors import InputError
 from datasets.scene.parts import SceneLayout
 
 WEIGHTS = Path(__file__).parent / "weights"
@@ -21,8 +22,14 @@ def models() -> list[Path]:
 
 
 def model_path(model: str | Path) -> Path:
-    """The file of a model: its path, the folder of its training, or the name of one that ships, such as flow2d."""
+    """The file of a model: its path, the folder of its training, or the name of one that ships, such as flow2d.
+
+    Raises InputError where there is none.
+    """
     named, path = WEIGHTS / f"{model}{ENDING}", Path(model)
     if path.is_dir():
         return path / BEST
-    return named if named.is_file() and not path.exists() else path
+    names = ", ".join(file.stem for file in models())
+    if not path.exists() and not named.is_file():
+        raise InputError(f"expected a model, the folder of a training or one of {names}", where=str(model))
+    return path if path.exists() else named

@@ -31,7 +31,7 @@ def rollout(
         scene: Path of a scene in TOML, or the name of a shipped one.
         out: Folder for the results.
         model: The model's file or the name of a shipped one; the shipped one for scenes in 2D or in 3D unless given.
-        start: Trajectory of the MPM whose frames the rollout goes on from; without it, it starts from the scene itself.
+        start: Trajectory of the MPM from whose last frame the rollout continues, not from the release.
         threads: Threads of torch.
         device: Where the model runs.
         vtk: Write a series for ParaView to OUT/vtk too.

@@ -119,7 +119,7 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
         model: The model's file, or the name of a shipped one.
         split: train, valid or test.
         threads: Threads of torch.
-        keep: Write the table onto the model's card, and how far it may be from the MPM by the flows of the valid split.
+        keep: Write the table and the error bands, which the flows of the valid split give, to the model's card.
     """
     import torch
 

@@ -35,14 +35,14 @@ class ModelSettings(Record):
     """Past displacements among the node features."""
     body_length: Positive | None = None
     """Length of a released body in the training data [m], the root of its volume, to which scenes are scaled
-    (`gns.surroundings.units.Units`); None for scenes that are run as they are."""
+    (`gns.surroundings.units.Units`); without it scenes run at their own size."""
     density: Positive = 1800.0
     """Density in the training data [kg/m^3]."""
     bed_friction: bool = True
-    """Whether the basal friction above a terrain is the terrain's own, along it. `flow2d` and `obstacle3d` learnt with
-    that of a level floor in its place."""
+    """Whether the basal friction above a terrain is the terrain's own, along it. `flow2d` and `obstacle3d` were trained
+    with that of a level floor in its place."""
     rest_speed: NotNegative = 0.03
-    """Speed [m/s] below which a displacement fades, as static friction; without it (0) deposits creep for ever."""
+    """Speed [m/s] below which a displacement fades, as static friction; without it (0) deposits creep."""
     width: Count = 64
     """Width of every latent vector."""
     layers: Steps = 4
@@ -85,7 +85,7 @@ class TrainingSettings(Record):
     minutes: Positive = 60.0
     """Time to train [min], all parts of a resumed run together; unrolled steps and learning rate are laid over it."""
     updates: Count | None = None
-    """Updates to make instead."""
+    """Number of updates, in place of the minutes."""
     clock: Literal["wall", "cpu"] = "wall"
     """What the minutes are: wall time, or time that the process computes, fair between runs on a busy machine."""
     batch: Count = 3
@@ -107,11 +107,11 @@ class TrainingSettings(Record):
     density_weight: NotNegative = 0.0
     """Weight of the error of the density at the nodes of the grid after the last step, heights and volume; 0: none."""
     first: float = 0.15
-    """Share of samples that start with the flow itself: from positions and velocities alone."""
+    """Share of samples that start at the release, from positions and velocities alone."""
     average: float = 0.998
     """Decay of the running average of the weights, which is what is scored and shipped."""
     validations: Count = 12
-    """Validations, equally far apart in the budget; of several one comes before, of the weights that are begun with."""
+    """Validations, equally far apart in the budget; if several, a further one scores the weights of --begin."""
     validation_share: Annotated[float, Bounds("a share in (0, 1]", gt=0.0, le=1.0)] = 0.15
     """Share of the minutes that validations take at most, but for the first and the last; then they are fewer."""
     validate_flows: Count = 8

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from datasets import command_line
 from gns.settings import ModelSettings, TrainingSettings
 
-MODEL, TRAINING = ModelSettings(), TrainingSettings()
+TRAINING = TrainingSettings()
 
 
 def train(
@@ -20,7 +20,7 @@ def train(
     seed: int = 0,
     threads: int = 1,
     device: Literal["cpu", "cuda"] | None = None,
-    model: Annotated[ModelSettings, Parameter(name="*")] = MODEL,
+    model: Annotated[ModelSettings | None, Parameter(name="*")] = None,
     training: Annotated[TrainingSettings, Parameter(name="*")] = TRAINING,
 ) -> None:
     """Train a graph network simulator on trajectories of the MPM.
@@ -48,8 +48,8 @@ def train(
 
     torch.set_num_threads(threads)
     begun = None if begin is None else checkpoint.load(model_path(begin))
-    if begun is not None and model == MODEL:
-        model = begun.simulator.settings
+    if model is None:
+        model = ModelSettings() if begun is None else begun.simulator.settings
     fit(datasets, out, model=model, training=training, begin=begun, resume=resume, seed=seed, device=device)
 
 

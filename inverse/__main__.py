@@ -10,8 +10,8 @@ from inverse.settings import ForwardModel
 def main(problem: str, /, *, out: Path, forward: ForwardModel | None = None, model: Path | None = None) -> None:
     """Find the unknowns of PROBLEM; leaves OUT/result.json, OUT/report.md and pictures.
 
-    Numbers are found by one forward model alone, so the verdict is "unconfirmed"; `python -m validation.loop` asks the
-    MPM for its word. Fields are found by the MPM's adjoint, and checked by a run of it.
+    Numbers are found by one forward model alone, so the verdict is "unconfirmed"; `python -m validation.loop` checks
+    the answer by the MPM. Fields are found by the MPM's adjoint, and checked by a run of it.
 
     Args:
         problem: Path of a problem in TOML, or the name of a shipped one.

@@ -32,7 +32,7 @@ def main(
     jobs: int | None = None,
     seed: int = 0,
 ) -> None:
-    """Run the MPM all over PROBLEM's box, and correct a model by these flows.
+    """Run the MPM at points throughout the bounds of PROBLEM, and correct a model by these flows.
 
     Leaves OUT/best.safetensors with its card OUT/best.json, scores and bands on flows that were held out, OUT/data.
     --model OUT then uses it in `validation.loop`, `inverse` and `gns.rollout`. Running the same command again finishes

@@ -27,7 +27,7 @@ from mpm import simulate, simulate_many
 def invert(
     problem: Problem, *, forward: ForwardModel | None = None, model: Path | None = None, out: Path | str | None = None
 ) -> Result:
-    """Find the parameters of `problem` by one forward model; `validation.solve` asks the MPM for its word.
+    """Find the parameters of `problem` by one forward model; `validation.solve` checks the answer by the MPM.
 
     >>> from inverse import invert, read_problem
     >>> result = invert(read_problem("friction-tall-42"))

@@ -78,7 +78,8 @@ def first_found(result: Result) -> str:
     others = f" and {more} more" if more > 0 else ""
     for answer in said["answers"]:
         text = named(result, answer["unknowns"].values(), answer["interval"].values())
-        texts.append(f"{text}{others}, where the MPM is {root(answer['mpm_error']['misfit'] ** 0.5)} off the target")
+        off = root(answer["mpm_error"]["misfit"] ** 0.5)
+        texts.append(f"{text}{others}; the MPM there differs from the observation by {off}")
     return f"The surrogate found {'; or '.join(texts)} ({said['predictions']} predictions in {said['seconds']:.1f} s)."
 
 
@@ -86,7 +87,7 @@ def verdict(result: Result) -> str:
     first, runs = result.answers[0], len(result.answers[0].checks)
     if runs == 0:
         return "**Unconfirmed**: no run of the MPM checks this answer; `python -m validation.loop` makes such runs."
-    which = f"the mean of {runs} MPM runs near the answer, corrected for their distance from it,"
+    which = f"the mean of {runs} MPM runs near the answer, interpolated to it,"
     if runs == 1:
         which = f"the MPM run {'at' if first.checks[0].purpose is Purpose.CHECK else 'nearest to'} the answer"
     count = len(result.answers)
@@ -108,7 +109,7 @@ def distance(result: Result, answer: Answer) -> str:
     many = f" (root mean square of {fit.numbers} numbers)" if fit.numbers > 1 else ""
     where = "within" if fit.inside else "outside of"
     return (
-        f"{text(fit.residual)} off the target{many}, {where} the {100.0 * CONFIDENCE:g} % predictive interval of "
+        f"{text(fit.residual)} from the observation{many}, {where} the {100.0 * CONFIDENCE:g} % predictive interval of "
         f"± {text(fit.allowed)} ({given})"
     )
 
@@ -181,7 +182,9 @@ def quality(result: Result) -> str:
         worst = max(every, key=lambda number: abs(unknowns[number.name] - truth[number.name]) / number.range)
         error = worst.kind.text(unknowns[worst.name] - truth[worst.name])
         which = "" if len(every) == 1 else f" (`{worst.name}`)"
-        inside = f"{len(result.inside)} of {len(truth)} within the interval"
+        inside = f"{len(result.inside)} of {len(truth)} true values within their intervals"
+        if len(truth) == 1:
+            inside = f"the true value lies {'within' if result.inside else 'outside of'} the interval"
         parts.append(f"error against the truth: {error}{which}, {inside}")
     fit = result.answers[0].fit
     if fit is not None and fit.applied > 1.0:
@@ -365,7 +368,9 @@ def search_table(result: Result) -> str:
         for key, value in record.items():
             if isinstance(value, dict) and key in ("unknowns", "mean", "deviation") and len(value) <= NAMED:
                 row |= {f"{'' if key == 'unknowns' else key + ', '}`{name}`": number for name, number in value.items()}
-            elif isinstance(value, bool | int | float):
+            elif isinstance(value, bool):
+                row[key.replace("_", " ")] = "yes" if value else "no"
+            elif isinstance(value, int | float):
                 row[key.replace("_", " ")] = value
         rows.append(row)
     reason = f"Surrogate: {result.surrogate['reason']}.\n\n" if result.surrogate else ""
@@ -375,8 +380,8 @@ def search_table(result: Result) -> str:
 def cost(result: Result) -> str:
     every = [run.purpose for run in result.mpm_runs]
     runs = {"MPM runs": result.run_count} if every else {}
-    runs |= {f"of them, {purpose}": every.count(purpose) for purpose in Purpose if purpose in every}
-    runs |= {"of them, the twin's own flow": 1} if result.problem.target.twin and every else {}
+    runs |= {f"for {purpose}": every.count(purpose) for purpose in Purpose if purpose in every}
+    runs |= {"for the twin": 1} if result.problem.target.twin and every else {}
     counts = {key.replace("_", " "): value for key, value in result.record.items() if isinstance(value, int)}
     seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in result.seconds.items()}
     seconds["peak memory"] = f"{peak_memory_mib():.0f} MiB"

@@ -61,7 +61,7 @@ def command(
         every: Keep every so many frames only, and the last.
         last_frame: Keep the last frame only.
         fields: Record velocity, stress, pressure and plastic strain of every particle too, and forces on the walls.
-        until_rest: End when the deposit has come to rest; the frames that are left repeat the last one.
+        until_rest: End when the deposit has come to rest; the remaining frames repeat the last one.
         vtk: Write a series for ParaView to DIR/vtk too, with the fields.
         forces: Write the force on each solid, and on floor and walls, over time too: DIR/forces.csv and DIR/forces.png.
         hdf5: Write DIR/trajectory.h5 instead of trajectory.npz, frame by frame while the scene runs: positions need not

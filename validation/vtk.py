@@ -26,7 +26,7 @@ def command(
         trajectory: A trajectory (NPZ), or the folder of a run that holds one.
         out: Folder for the results.
         picture: Draw a frame, too: OUT/picture.png.
-        frames: Take every how many frames into the series; the last frame always.
+        frames: Write every n-th frame, and always the last one.
         colour: What the colours of the picture show.
         time: Time of the picture [s], to the nearest frame; the end, unless given.
     """

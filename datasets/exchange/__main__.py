@@ -1,7 +1,7 @@
 """python -m datasets.exchange DATASET --to geoelements, or --from geoelements: datasets in the layout of that code.
 
 One trajectory is in memory at a time. Their files know no scene: all trajectories of theirs get the one that the user
-gives, which says box, obstacles and material.
+gives, which says box, obstacles and material; each has the angle of its particles and the box that they begin in.
 """
 
 import sys
@@ -24,7 +24,8 @@ from datasets.exchange.geoelements import Sand
 from datasets.files import read_json, write_json
 from datasets.flow.measures import extents
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_files
-from datasets.scene import Scene
+from datasets.scene import Mass, Scene
+from datasets.scene.grid_field import Floats
 from datasets.scene.library import read_scene
 from datasets.schema import Record, from_mapping
 
@@ -131,16 +132,39 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
     spacing = foreign.dx or float(np.median(cKDTree(positions[0]).query(positions[0], k=2)[0][:, 1]))
     require(0.0 < spacing < np.inf, "", "particles that are apart in the first frame", f"a spacing of {spacing:g} m")
     volume = np.full(positions.shape[1], spacing**scene.dimension, np.float32)
+    velocity0 = ((positions[1] - positions[0]) / foreign.dt).astype(np.float32)
+    scene = own_scene(scene, positions[0], velocity0, friction, spacing)
     friction = np.full(len(volume), scene.material.friction) if friction is None else friction
     return Trajectory(
         positions=positions,
         time=np.arange(len(positions), dtype=np.float64) * foreign.dt,
-        velocity0=((positions[1] - positions[0]) / foreign.dt).astype(np.float32),
+        velocity0=velocity0,
         friction=friction.astype(np.float32),
         volume=volume,
         scene=replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt),
         summary=extents(scene, positions[-1], volume),
     )
+
+
+def own_scene(scene: Scene, places: Floats, velocities: Floats, friction: Floats | None, spacing: float) -> Scene:
+    """With the angle of the particles, where they have one, and the box of their first `places` [m], where that is one:
+    ranges and units of a model follow from these."""
+    if friction is not None and np.ptp(friction) <= CLOSE * abs(float(friction[0])):
+        angle = float(np.degrees(np.arctan(friction[0])))
+        scene = replace(scene, material=replace(scene.material, friction_deg=angle, angle="triaxial"))
+    counts = np.maximum(np.round(np.ptp(places, axis=0) / spacing + 1.0), 1.0)
+    if counts.prod() != len(places):
+        return scene
+    size = np.minimum(counts * spacing, scene.domain.size)
+    lower = np.clip(places.mean(axis=0) - 0.5 * size, 0.0, np.array(scene.domain.size) - size)
+    body = Mass(
+        lower=tuple(lower.tolist()), size=tuple(size.tolist()), velocity=tuple(velocities.mean(axis=0).tolist())
+    )
+    try:
+        return replace(scene, masses=(body,), fields=(), stages=())
+    except InputError:
+        # Rounding has put it into an obstacle.
+        return scene
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
@@ -178,7 +202,7 @@ def command(
         to: Layout to write.
         from_: Layout to read.
         scene: With --from: the scene of all trajectories, a path or a shipped name: their box, obstacles, and the
-            friction where the set has no tan(phi).
+            friction angle where the set has no tan(phi).
         up: With --from: the axis that points up, y or z.
     """
     require((to is None) != (from_ is None), "", "one of --to and --from")

@@ -161,7 +161,7 @@ def fit(
             history = checkpoint.load(out / BEST).provenance
             new, total = history["log"]["updates"], card.total_updates(history)
             of = f" of {position.updates:,}" if new < position.updates else ""
-            print(f"{out / BEST}: {new:,} new updates{of}, {total:,} in all")
+            print(f"{out / BEST}: {new:,}{of} updates" + (f", {total:,} with those before" if total > new else ""))
 
 
 class TrainingRun:

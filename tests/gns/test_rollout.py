@@ -69,7 +69,7 @@ def test_the_shipped_model_is_that_of_the_dimension_and_of_terrain(
     write_scene(scene, tmp_path / "scene.toml")
     monkeypatch.setattr(library, "WEIGHTS", tmp_path)
     said = refused_by(capsys, rollout, tmp_path / "scene.toml", "--out", tmp_path / "out")
-    assert f"{model}: expected whole weights of a model, there is no such file" in said
+    assert f"{model}: expected a model, the folder of a training or one of" in said
 
 
 def test_refusals(
@@ -84,7 +84,7 @@ def test_refusals(
     deep = tmp_path / "deep.toml"
     write_scene(DEEP, deep)
     cases = [
-        ({**files, "model": tmp_path / "none"}, [], "expected whole weights of a model, there is no such file"),
+        ({**files, "model": tmp_path / "none"}, [], "expected a model, the folder of a training or one of flow2d"),
         (files, ["--start", str(tmp_path / "other.npz")], "they are of another scene"),
         (files, ["--start", str(tmp_path / "none.npz")], "there is no such file"),
         ({**files, "scene": deep}, [], "deep.toml: expected a 2D scene"),

@@ -268,8 +268,8 @@ def conclusion(firsts: Sequence[CaseScore], angles: Sequence[Inferred]) -> list[
     off = [angle.difference_deg for angle in inferred]
     return [
         f"With independently measured angles of friction and nothing fitted, {sum(score.agrees for score in scores)} of"
-        f" {len(scores)} computed lengths lie within {CLOSE:g} spreads of the measured ones; the largest error is"
-        f" {largest.error:+.1f} spreads ({largest.label}).",
+        f" {len(scores)} computed fronts, heights and profiles at measured angles lie within {CLOSE:g} spreads of the"
+        f" measured ones; the largest error is {largest.error:+.1f} spreads ({largest.label}).",
         f"Fronts are {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average,"
         f" {percent(min(far), '+.1f')} to {percent(max(far), '+.1f')}; finer cells move them by at most"
         f" {percent(moved)}.",

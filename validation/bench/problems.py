@@ -262,7 +262,7 @@ def conclusion(solved: Sequence[Outcomes]) -> list[str]:
     both = [ways for ways in solved if len(ways) == len(COLOURS)] or solved
     runs = {way: [len(ways[way].result["mpm_runs"]) for ways in both if way in ways] for way in COLOURS}
     cost = " and ".join(f"{between(counts, '.0f')} MPM runs ({way})" for way, counts in runs.items() if counts)
-    return [*said, f"An answer takes {cost}."]
+    return [*said, f"Where a problem was solved both ways, an answer takes {cost}."]
 
 
 def rows(ways: Outcomes) -> list[Row]:

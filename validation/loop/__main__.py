@@ -27,13 +27,13 @@ def main(
         problem: Path of a problem in TOML, or the name of a shipped one.
         out: Folder for the results.
         targets: A folder of deposits, trajectories or CSV files of what PROBLEM observes: each is inverted in its
-            place, into OUT/NAME, the runs of the MPM known to all; leaves OUT/series.csv, OUT/series.json and
+            place, into OUT/NAME; all share the runs of the MPM; leaves OUT/series.csv, OUT/series.json and
             OUT/report.md besides.
         model: Weights of the surrogate or the folder of `inverse.adapt`, whose runs of the MPM are then known; unless
             given, the weights that ship for 2D or for 3D. One that is given is asked unless the problem says "none".
-        surrogate: "gns": always asked; "coarse": the MPM on cells twice as large; "none": the MPM alone; unless given,
-            as the problem says, by default the learned one where a run of the MPM costs more than five of its
-            predictions. It leads: the MPM runs first where its answers are.
+        surrogate: "gns": the learned surrogate is always used; "coarse": the MPM on cells twice as large; "none": the
+            MPM alone; "auto", the default of a problem: the learned one where a run of the MPM costs more than five of
+            its predictions. It leads the search: the MPM starts at its answers.
         scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM
             instead: the runs of a wave side by side.
     """

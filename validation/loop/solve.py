@@ -183,8 +183,8 @@ def statement(state: Loop) -> str:
     before = f" ({len(state.known)} of them made before)" if state.known else ""
     return (
         f"An emulator of {int(belief.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
-        "seed, gives the posterior over the whole box. What the emulator does not know is "
-        f"{100.0 * belief.emulator_share:.2g} % of the variance, and part of the intervals, at 95 %.{more} Two "
+        "seed, gives the posterior over the whole box. The uncertainty of the emulator is "
+        f"{100.0 * belief.emulator_share:.2g} % of the variance; the 95 % intervals include it.{more} Two "
         f"independent populations of samples differ by {belief.samples.difference:.2g} standard deviations."
     )
 

@@ -66,7 +66,7 @@ def choose(task: Task, model: Path | None = None) -> tuple[Forward | None, str]:
     dear, price = priced(problem.scene, partial(forward.errors, problem.initial))
     if by_price and not dear:
         return None, f"{price}, a {PREDICTIONS:g}th of it or more"
-    return forward, price if by_price else f"it is asked for; {price}"
+    return forward, price if by_price else f"the problem requests it; {price}"
 
 
 def quick(run: float) -> bool:

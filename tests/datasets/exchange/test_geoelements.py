@@ -64,6 +64,12 @@ def test_there_and_back(tmp_path: Path, dimension: int, up: str) -> None:
             np.testing.assert_allclose(a.volumes, b.volumes, rtol=1e-6)
             np.testing.assert_allclose(a.time, b.time, rtol=1e-12)
             assert (b.scene.domain, b.scene.frames) == (a.scene.domain, FRAMES)
+            assert b.scene.material.friction_deg == pytest.approx(a.scene.material.friction_deg, rel=1e-6)
+            (body,), (whole,) = a.scene.masses, b.scene.masses
+            np.testing.assert_allclose(
+                [*whole.lower, *whole.size], [*body.lower, *body.size], atol=0.1 * a.scene.domain.cell
+            )
+            np.testing.assert_allclose(whole.velocity, body.velocity, atol=0.01)
     before, after = (json.loads((folder / "metadata.json").read_text()) for folder in (ours, back))
     for key in KEYS:
         np.testing.assert_allclose(before[key], after[key], rtol=1e-9)

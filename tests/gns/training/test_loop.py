@@ -134,7 +134,7 @@ def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys
     for name, weight in first.items():
         torch.testing.assert_close(second[name], weight)
     assert card.total_updates(checkpoint.load(other).provenance) == 2
-    assert "second/best.safetensors: 1 new updates, 2 in all" in capsys.readouterr().out
+    assert "second/best.safetensors: 1 updates, 2 with those before" in capsys.readouterr().out
     # The first row is the score of the weights that it begins with.
     logged = rows(tmp_path / "second")
     assert [(row["updates"], row["loss"] == "nan") for row in logged] == [("0", True), ("1", False)]
@@ -155,7 +155,7 @@ def test_weights_that_no_update_improves_stay(
     monkeypatch.setattr(loop, "validation_score", lambda _: float(next(scores)))
     flags = ("--begin", str(model), "--updates", "2", "--validations", "2", "--learning-rate", "1")
     assert run(dataset, tmp_path / "second", *flags) == 0
-    assert "0 new updates of 2, 1 in all" in capsys.readouterr().out
+    assert "0 of 2 updates, 1 with those before" in capsys.readouterr().out
     assert [row["updates"] for row in rows(tmp_path / "second")] == ["0", "1", "2"]
     first, second = (checkpoint.load(tmp_path / name / "best.safetensors").simulator for name in ("first", "second"))
     for name, weight in first.state_dict().items():

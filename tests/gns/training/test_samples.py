@@ -47,6 +47,25 @@ def test_a_flow_takes_every_so_many_frames(tmp_path: Path) -> None:
         refused(lambda other=other: other[0], said="a.npz: expected frames 0.00")
 
 
+def test_a_flow_of_any_size_is_that_of_a_rollout(tmp_path: Path) -> None:
+    """In the rollout's units whatever its frames: it was scored at its own size where these did not fit the step."""
+    settings = ModelSettings(body_length=0.1, frame_dt=0.01, frames_per_step=1)
+    body = Mass(lower=(0.0, 0.0), size=(0.05, 0.05), velocity=(1.0, 0.0))
+    for frame_dt, near in ((0.003, 1e-6), (0.0071, 0.03), (0.01, None)):
+        scene = scene_of(body, size=(0.3, 0.1), cell=0.01, duration=10 * frame_dt, frame_dt=frame_dt)
+        points, time = initial_particles(scene).positions, frame_dt * np.arange(11)[:, None, None]
+        flow_of(scene, points + np.array([1.0, 0.0]) * time).save(tmp_path / "a.npz")
+        flows = Flows([tmp_path / "a.npz"], settings)
+        if near is None:
+            refused(lambda flows=flows: flows[0], said="frames at most 0.00")
+            continue
+        units = initial_state(scene, settings).conditions.units
+        assert flows[0].units.length == pytest.approx(units.length, rel=2.0 * near)
+        assert flows[0].step == pytest.approx(units.time * settings.step, rel=near)
+        passed = flows[0].positions[-1, :, 0] - points[:, 0]
+        np.testing.assert_allclose(passed, flows[0].step * (len(flows[0].positions) - 1), rtol=1e-5)
+
+
 @pytest.mark.parametrize("body_length", [None, 0.1])
 def test_training_sees_what_a_rollout_does(body_length: float | None, simulator: Simulator, tmp_path: Path) -> None:
     """Of masses whose cohesion grows with depth and whose friction varies, over terrain and before a baffle."""
