@@ -27,7 +27,7 @@ MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM
 """What text begins with that says how it is encoded."""
 NEW_LINE = b"\n"
 LARGEST, LARGEST_TEXT = 2**30, 2**28  # bytes of a raster or a mesh, and of a file of text
-FARTHEST = 1.0e12
+GREATEST = 1.0e12
 """Numbers beyond this are no length, time, velocity or volume of anything that flows; their squares are finite."""
 
 

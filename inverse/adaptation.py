@@ -43,7 +43,6 @@ from inverse.problem import Problem, read_problem
 from mpm.footprint import INVERSION
 from mpm.generate import generate, missing_entries
 
-COMMAND = "python -m inverse.adapt"
 DATA, PROBLEM = "data", "problem.json"  # in the folder of a run: its flows, and what problem they are of
 HELD_OUT = 5  # of so many flows one is held out; odd, so that those lie all over the box
 FEWEST = 7  # flows at least, of which two are held out
@@ -106,7 +105,7 @@ def adapt(
     held_out = flows_of(out / DATA, Split.VALID, settings)
     before = scored(begun.simulator, held_out, weights.stem)
     resume = (out / LAST).exists()
-    fit([out / DATA], out, model=settings, training=training, begin=begun, resume=resume, seed=seed, command=COMMAND)
+    fit([out / DATA], out, model=settings, training=training, begin=begun, resume=resume, seed=seed)
     best = model_path(out)
     after = scored(checkpoint.load(best).simulator, held_out, best.stem)
     described = card.read(best)

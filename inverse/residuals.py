@@ -56,7 +56,7 @@ class Residuals:
                 "observation": self.part.name,
                 "at": f"{label.split(' [')[0]} {places[n]:.4g}",
                 "observed": f"{self.observed[n]:.4g} {self.part.observation.unit}".rstrip(),
-                "predicted (median)": f"{self.median[n]:.4g}",
+                "predicted (median)": f"{self.median[n]:.4g} {self.part.observation.unit}".rstrip(),
                 "95 % band": f"{self.lower[n]:.4g} to {self.upper[n]:.4g}",
                 "standardised residual": f"{self.standardised[n]:+.2f}",
             }

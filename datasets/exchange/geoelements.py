@@ -26,7 +26,7 @@ from datasets.scene import Scene
 
 ALL = "gns_data"  # the key that holds all trajectories where it exists
 WHAT = "positions, particle types and perhaps a material property"
-FARTHEST = 1.0e6
+WIDEST_BOX = 1.0e6
 """Positions [m] beyond this mean a broken file; single precision would tell them no better than to 6 cm."""
 STEEPEST = 1.0e3  # a tan(phi) beyond this is none
 Sand = tuple[NDArray[np.floating], NDArray[Any] | None]
@@ -108,7 +108,7 @@ def checked(positions: Any, types: Any, material: Any) -> Sand:
     expected = "positions of shape [T, N, 2 or 3] over two frames or more"
     fits = positions.ndim == 3 and positions.shape[2] in (2, 3) and len(positions) > 1 and positions.shape[1] > 0
     require(fits, "", expected, positions.shape)
-    require(bool((abs(positions) < FARTHEST).all()), "", f"positions within {FARTHEST:g} m", "others, or nan")
+    require(bool((abs(positions) < WIDEST_BOX).all()), "", f"positions within {WIDEST_BOX:g} m", "others, or nan")
     count = positions.shape[1]
     types = numbers(types, "types", "iu")
     require(types.shape in ((), (count,)), "", f"one type for all particles or for each of {count}", types.shape)

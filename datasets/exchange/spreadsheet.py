@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError, require
-from datasets.files import FARTHEST, LONGEST_LINE, read_text, reading
+from datasets.files import GREATEST, LONGEST_LINE, read_text, reading
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}  # between the columns: those that a header may have
 UNITS = {
@@ -120,7 +120,7 @@ def numbers(
         values = [float(cells[place] or ("nan" if blanks else "")) for place in places] if len(cells) == count else []
     except ValueError:
         values = []
-    usable = all(abs(value) <= FARTHEST or (blanks and math.isnan(value)) for value in values)
+    usable = all(abs(value) <= GREATEST or (blanks and math.isnan(value)) for value in values)
     if len(values) < len(places) or not usable:
         got = f"{separator.join(row).strip()[:40]!r}"
         raise InputError(f"expected {count} values in line {line}, all of them finite, got {got}")

@@ -15,7 +15,7 @@ from shapely import Polygon
 from datasets.errors import naming, require
 from datasets.files import file_size, reading
 
-LARGEST = 2**28  # bytes of a file
+LARGEST_LAYERS = 2**28  # bytes of a file
 BEGINNINGS = {
     ".shp": rb"\x00\x00\x27\x0a",
     ".gpkg": rb"SQLite format 3\x00",
@@ -71,7 +71,7 @@ def read_shapes(path: Path, crs: str | None, what: str) -> list[Shape]:
 
     name, _, chosen = str(path).partition(LAYER)
     path = Path(name)
-    file_size(path, what, most=LARGEST)
+    file_size(path, what, most=LARGEST_LAYERS)
     pattern = BEGINNINGS.get(path.suffix.lower())
     require(pattern is not None, "", f"a file whose name ends in {' '.join(BEGINNINGS)}", repr(path.suffix))
     with path.open("rb") as raw:

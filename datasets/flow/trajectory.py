@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import naming, require
-from datasets.files import FARTHEST, json_object
+from datasets.files import GREATEST, json_object
 from datasets.flow.array_files import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.scene import Scene, keyed
 from datasets.scene.particles import particle_volumes
@@ -178,7 +178,7 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
     require(scene.dimension == dimension, "positions", f"{scene.dimension}D positions as in the scene", f"{dimension}D")
     frames_read = (positions[0], positions[-1]) if lazily else (positions,)
     for key, array in (("velocity0", arrays["velocity0"]), *(("positions", part) for part in frames_read)):
-        require(bool((np.abs(array) < FARTHEST).all()), key, "finite numbers", "others")
+        require(bool((np.abs(array) < GREATEST).all()), key, "finite numbers", "others")
     time, friction, volume, mass = arrays["time"], arrays["friction"], arrays.get("volume"), arrays.get("mass")
     ascending = np.isfinite(time).all() and time[0] >= 0.0 and (np.diff(time) > 0.0).all()
     require(bool(ascending), "time", "ascending times of at least 0 s", "others")

@@ -1,4 +1,4 @@
-"""The nearest place of a surface and the signed distance from it: the reference that the contact law is held against.
+"""The nearest place of a surface and the signed distance from it, of the particles of a scene at its start.
 
 The sign is that of the offset along the pseudonormal of the face, edge or corner that the foot lies on, which is right
 for every closed surface (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).

@@ -99,9 +99,8 @@ def fit(
     resume: bool = False,
     seed: int = 0,
     device: str | None = None,
-    command: str = "python -m gns.train",
 ) -> None:
-    """Train a model, begun by `command`; else as `gns.train`. Raises InputError, WorkFailed and KeyboardInterrupt."""
+    """Train a model, as `gns.train`. Raises InputError, WorkFailed and KeyboardInterrupt."""
     if resume and not (out / LAST).exists():
         raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
     if not resume and (out / LAST).exists():
@@ -122,7 +121,7 @@ def fit(
         run = TrainingRun(simulator.to(where), flows, training, out, seed)
         if resume:
             run.restore()
-        provenance = {"command": invocation() or command, "seed": seed, "begin": begin and begin.provenance}
+        provenance = {"command": invocation(), "seed": seed, "begin": begin and begin.provenance}
         provenance |= {"datasets": [str(path) for path in datasets], "training": asdict(training)}
         position, bar = run.position, stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not first))
         stop = stack.enter_context(stopping())

@@ -53,6 +53,7 @@ class Angle(Record):
     source: str
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         ordered, got = 0.0 < self.lower_deg <= self.upper_deg < 90.0, f"{self.lower_deg:g} and {self.upper_deg:g}"
         require(ordered, "lower_deg", "0 < lower_deg <= upper_deg < 90", got)
 
@@ -142,6 +143,7 @@ class Case(Record):
     measured: tuple[Measured, ...]  # the first one is a front or a radius: an angle is inferred from it
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         extent = bool(self.measured) and self.extent.quantity in (Quantity.FRONT, Quantity.RADIUS)
         require(extent, "measured", "a front or a radius first", "another")
 
