@@ -37,6 +37,7 @@ SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 18, "obstacle3d":
 CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
 """Of the coarse MPM, across the smallest side of the body, by dimension."""
 LEVEL = 0.95  # of the bands
+TIMES = (2, 3)  # of flows on terrain, a few cells thick: its cells over those of the reference
 AGAIN = "the MPM, jittered anew"
 MOUNDS = ((45.0, 12.0), (45.0, 18.0), (42.0, 8.0), (35.0, 0.0), (28.0, 0.0))
 """Angles of friction and of the floor [deg] under which it stays where it is."""
@@ -94,7 +95,7 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     paths = {path: gns.load(path).settings.dimension for path in [model_path(file) for file in model] or models()}
     with kept(keep) as folder:
         measured = [
-            measure(path, family, number, RunStore(folder / family), CELLS[dimension])
+            measure(path, family, number, RunStore(folder / family))
             for path, dimension in paths.items()
             for family, number in SCENES[dimension].items()
         ]
@@ -133,7 +134,7 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     )
 
 
-def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequence[int]) -> ModelErrors:
+def measure(path: Path, family: str, number: int, store: RunStore) -> ModelErrors:
     """Errors of a model on so many scenes of a family."""
     simulator, scenes = gns.load(path), held_out(family, number)
     fine = [scene for _, scene in scenes]
@@ -149,7 +150,7 @@ def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequen
     pairs = [*zip(scenes, references, again, strict=True)]
     for (kind, scene), reference, other in tqdm(pairs, desc=f"{family}, deposits", unit="scene"):
         truth = deposit_of(reference)
-        flows = {f"MPM, {n} cells across": simulate(coarse(scene, n), threads=1, record=AT_REST) for n in cells}
+        flows = {name: simulate(other, threads=1, record=AT_REST) for name, other in coarser(scene, family).items()}
         flows |= {path.stem: gns.simulate(scene, model=simulator), AGAIN: other}
         by = {method: truth.errors(flow.positions[-1], flow.volumes) for method, flow in flows.items()}
         if reference.summary["rest_time"] is not None:
@@ -255,15 +256,23 @@ def held_out(family: str, number: int) -> list[tuple[str, Scene]]:
     return [pair for group in zip(*by_kind.values(), strict=True) for pair in group][:number]
 
 
-def coarse(scene: Scene, cells: int) -> Scene:
-    """A scene on so many cells across the smallest side of its body, or a few more.
+def coarser(scene: Scene, family: str) -> dict[str, Scene]:
+    """The scenes of the coarse MPM by the names of their rows."""
+    if family == "terrain3d":
+        return {f"MPM, cells {times} times as large": coarse(scene, times * scene.domain.cell) for times in TIMES}
+    length = characteristic_length(scene)
+    return {f"MPM, {cells} cells across": coarse(scene, length / cells) for cells in CELLS[scene.dimension]}
+
+
+def coarse(scene: Scene, wanted: float) -> Scene:
+    """A scene on cells of `wanted` [m], or a little smaller.
 
     Its box is made higher by part of a cell where it has to be: else its height, a whole number of fine cells, would
     decide which coarser ones fit.
     """
     length, height, *width = scene.domain.size
     plan = replace(scene.domain, size=(length, length, *width))
-    cell = fitted_cell(plan, characteristic_length(scene) / cells)
+    cell = fitted_cell(plan, wanted)
     domain = Domain(size=(length, math.ceil(height / cell - ROUNDING) * cell, *width), cell=cell)
     return replace(scene, domain=domain, particles_per_axis=2, step_fraction=0.9)
 
