@@ -41,7 +41,7 @@ def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[s
     from cyclopts import CycloptsError  # whoever needs an exception alone waits for no parser of flags
 
     given = sys.argv[1:] if arguments is None else list(arguments)
-    _running.append(" ".join([name, shlex.join(given)]))
+    _running.append(f"{name} {shlex.join(given)}".strip())
     python_format = warnings.formatwarning
     # What a warning says, without the place in the program that says it.
     warnings.formatwarning = lambda message, *_, **__: f"talus: {message}\n"

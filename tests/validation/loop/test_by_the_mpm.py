@@ -110,6 +110,7 @@ def test_the_demo_finds_the_angle_and_the_mpm_confirms(tmp_path: Path) -> None:
     check(result, result["truth"], widest=5.0)
     # Of eight seeds 0.0 to 0.9 %: fronts scatter with the jitter, the target's and those of the checks.
     assert result["error_pct"]["front"] <= 1.5
+    assert f"`python -m validation.demo --out {tmp_path} --seed 11`" in (tmp_path / "report.md").read_text()
     assert result["peak_memory_mib"] < 2048.0
 
 
