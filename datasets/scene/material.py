@@ -175,7 +175,7 @@ class Material(Record):
                 require(self.saturated, key, "none of a material that is not saturated")
         if self.permeability is not None:
             require(self.consolidation is None, "permeability", "one of permeability and consolidation")
-            require(self.young is not None, "permeability", "a young beside it, on which consolidation depends too,")
+            require(self.young is not None, "permeability", "a young beside it (consolidation depends on both)")
         if self.residual_friction_deg == 0.0:
             strong = self.residual_cohesion != 0.0 and self.cohesion > 0.0
             require(strong, "residual_friction_deg", "an angle above 0 degrees where no cohesion remains")
