@@ -47,8 +47,8 @@ SLOW = 0.1  # displacement over the root mean square one below which the directi
 ROUNDED = 0.1  # change of the motion over `slow` below which its amount is rounded: a kink has no useful derivative [-]
 EMPTY = 0.05  # share of a cell that is filled below which the mean of what is in it fades [-]
 LOOSE = 0.3  # share of a cell that is filled below which a force is that on so much material [-]
-UNEVEN = {2: 1.06, 3: 1.0}  # the steepest tangent of such heights over that of a plane slope; in 3D smoothing evens it
 SMOOTHED = 2  # means over three nodes along each level axis that the height of a column is smoothed by
+UNEVEN = {2: 1.06, 3: 1.0}  # the steepest tangent of such heights over that of a plane slope; in 3D smoothing evens it
 LARGEST = 3.0  # the weight of the material that a force on the grid approaches at most [-]
 
 

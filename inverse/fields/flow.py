@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -127,7 +128,7 @@ class WhiteFlow:
             tape = Tape(scenes, self.frames, precision="f32", memory_mib=MEMORY_MIB, outputs=len(combinations))
             seen = [self.adjoints(tape, index, combinations) for index in range(len(scenes))]
             together = [[FlowAdjoints(by[number]) for by, _ in seen] for number in range(len(combinations))]
-            slopes: list[dict[str, Floats]] = [{} for _ in scenes]
+            slopes: list[dict[str, Any]] = [{} for _ in scenes]
             for row, gradients in enumerate(pull_back_all(tape, together)):
                 for index, gradient in enumerate(gradients):
                     explicit, both = seen[index][1][row], zip(self.problem.fields, fields, strict=True)

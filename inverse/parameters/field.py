@@ -220,24 +220,25 @@ class UnknownField:
         return np.asarray(weights.T @ interpolated(axes, friction, posts) / weights.sum(axis=0))
 
     def at_nodes(
-        self, gradient: "Gradient", values: Floats, explicit: Floats, slopes_by_name: dict[str, Floats]
+        self, gradient: "Gradient", values: Floats, explicit: Floats, slopes_by_name: dict[str, Any]
     ) -> Floats:
         """dJ/df [K] at `values` [K] from the gradient with respect to what a run begins with.
 
         explicit: derivatives of J with respect to the volumes of the particles where it sees them itself, [N];
-        slopes_by_name: slopes of this run by the names of fields, which are the same for every J.
+        slopes_by_name: what of this run is the same for every J, by the names of fields.
         """
         scene, settings, particles = gradient.scene, self.settings, gradient.particles
         if not self.in_plan:
             here, places = self.of(particles.mass), particles.positions
-            weights, derivatives = [self.grid.weights(places)], [gradient.material(FRICTION)]
+            if settings.name not in slopes_by_name:
+                slopes_by_name[settings.name] = [self.grid.weights(places), *self.grid.slopes(places)]
+            derivatives = [gradient.material(FRICTION)]
             if settings.quantity != FRICTION:
                 # The affine motion of the particles is that of the field, too.
                 axis = VELOCITIES.index(settings.quantity)
-                weights += self.grid.slopes(places)
                 derivatives = [gradient.velocities[:, axis], *gradient.velocity_gradients[:, axis].T]
-            pairs = zip(weights, derivatives, strict=True)
-            return np.asarray(sum(rows.T @ np.where(here, values, 0.0) for rows, values in pairs))
+            pairs = zip(slopes_by_name[settings.name], derivatives, strict=False)
+            return np.asarray(sum(rows.T @ np.where(here, by_particle, 0.0) for rows, by_particle in pairs))
         relative, places = settings.quantity == THICKNESS, self.places(scene)
         if settings.name not in slopes_by_name:
 

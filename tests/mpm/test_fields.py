@@ -70,3 +70,25 @@ def test_the_adjoint_of_a_field_of_friction(material: Material) -> None:
 
     derivative = central(lambda h: value_of(with_cohesion(h), objective), 0.1)
     assert slope.material("cohesion").sum() == pytest.approx(derivative, rel=5e-6)
+
+
+@pytest.mark.double
+@pytest.mark.slow
+def test_the_adjoint_of_a_field_of_velocity() -> None:
+    """Its slope is in the affine motion of the particles, too."""
+    scene, values = plane(SOIL), np.linspace(0.2, 0.9, 12)
+
+    def with_velocity(values: np.ndarray) -> Scene:
+        (field,) = with_friction(scene, values).fields
+        return dataclasses.replace(scene, fields=(dataclasses.replace(field, quantity="velocity_x"),))
+
+    moving = with_velocity(values)
+    objective = Weighted(moving)
+    _, slope = gradient(moving, objective, threads=1, exact=True)
+    (field,), places = moving.fields, slope.particles.positions
+    at_nodes = field.weights(places).T @ slope.velocities[:, 0]
+    affine = sum(rows.T @ by for rows, by in zip(field.slopes(places), slope.velocity_gradients[:, 0].T, strict=True))
+    direction = np.random.default_rng(2).normal(size=12)
+    derivative = central(lambda h: value_of(with_velocity(values + h * direction), objective), 1e-4)
+    assert (at_nodes + affine) @ direction == pytest.approx(derivative, rel=1e-5)
+    assert abs(affine @ direction) > 1e-3 * abs(derivative)
