@@ -3,6 +3,7 @@
 import os
 from contextlib import redirect_stdout, suppress
 from datetime import datetime
+from functools import cache
 from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
@@ -38,9 +39,12 @@ def start(
         return
     # Imported here: who plans a run, or asks for help, needs no compiler.
     import taichi as ti
+    from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
     ASTTransformerContext.get_pos_info = place_in_source
+    # Taichi looks for the source of a function at every call of it.
+    kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)
     cached = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or ti.lang.impl.default_cfg().offline_cache_file_path
     drop_stale_lock(Path(cached) / "ticache.lock")
     # Taichi greets on standard output, where commands print what they found.

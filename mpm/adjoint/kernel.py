@@ -149,4 +149,4 @@ def walk(arrays: ti.template(), first, last, direction: ti.template()):
 @cache
 def kernel(layout: Layout) -> Callable[..., None]:
     """The kernel: it takes the arrays `STEP` and `ADJOINT`, then `first`, `last` and the pass."""
-    return kernel_of(STEP | ADJOINT, walk, layout.features, layout=layout)
+    return kernel_of(STEP | ADJOINT, walk, layout.features, optimised=False, layout=layout)

@@ -58,7 +58,8 @@ class Equilibrium:
         self.lame, self.shear = self.properties[:, Property.LAME], self.properties[:, Property.SHEAR]
         self.limit = self.law.limit(self.properties)
         weights, self.slopes, self.nodes = gradient_matrices(scene, positions[chosen])
-        self.slopes_t = self.slopes.T.tocsr()
+        # By columns: SciPy multiplies so more than twice as fast as by rows.
+        self.slopes_t = self.slopes.T
         self.weights, self.mass = weights, np.asarray(weights.T @ (self.volume * density))
         self.weight = float(self.mass.sum() * np.linalg.norm(scene.gravity_vector))
         self.gravity: Floats = self.mass[:, None] * np.array(scene.gravity_vector)

@@ -44,11 +44,13 @@ class WithThrust:
         problem.lame, problem.shear = 0.0 * problem.lame, np.full_like(problem.shear, problem.shear.mean())
         problem.theta, problem.inertia = np.ones_like(problem.theta), 0.0 * problem.inertia
         boxes = [number for number, each in enumerate(scene.masses) if each.k0 is not None and not clings(each)]
-        self.parts = [(mass == number, axis) for number in boxes for axis in (0, 2)[: scene.dimension - 1]]
+        self.parts = [
+            (problem.volume * (mass == number), axis) for number in boxes for axis in (0, 2)[: scene.dimension - 1]
+        ]
         self.thrusts = self.sums(guess)
         self.modes, self.correction = np.zeros((len(self.parts), *guess.shape)), np.zeros(guess.shape)
-        for mode, (own, axis) in zip(self.modes, self.parts, strict=True):
-            mode[own, axis, axis] = 1.0
+        for mode, (volume, axis) in zip(self.modes, self.parts, strict=True):
+            mode[volume > 0.0, axis, axis] = 1.0
         self.factorise()
 
     def factorise(self) -> None:
@@ -63,8 +65,7 @@ class WithThrust:
 
     def sums(self, stress: Floats) -> Floats:
         """sum_p V_p sigma_aa of every box and level axis [N m]."""
-        volume = self.problem.volume
-        return np.array([volume[inside] @ stress[inside, axis, axis] for inside, axis in self.parts])
+        return np.array([volume @ stress[:, axis, axis] for volume, axis in self.parts])
 
     def displaced_by(self, force: Floats) -> Floats:
         """Displacements [m], [n, D], by nodal forces [N], but for ROUGH of it."""

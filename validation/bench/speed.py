@@ -37,6 +37,7 @@ CUBE = 0.375  # edge of the body in 3D [m]
 GRADIENT_MIB = 1024.0  # memory that a gradient may take: enough for the checkpoints of the largest scene priced
 STARTED = ("column-short-21", "flume-35", "baffles-2", "valley-3d")
 """Shipped scenes of several kinds of kernels: nothing but the box, terrain, baffles; two dimensions, then three."""
+WET = "cube"  # that of `featured` full of water, whose kernel is the longest
 PRICED = "column-tall-42"
 FINER = ((1, 0.5), (2, 0.25), (2, 0.5), (4, 0.0625))
 """How many times finer than the shipped column's the cells are, and duration [s], of runs whose gradient is priced."""
@@ -162,12 +163,11 @@ def started(scene: Scene, folder: str) -> float:
     return seconds
 
 
-def started_row(name: str) -> Row:
+def started_row(name: str, scene: Scene) -> Row:
     """A first run, which compiles, and a second one, which finds the kernels on disk."""
-    scene = read_scene(name)
     with TemporaryDirectory() as folder:
         seconds = {f"{which} run [s]": f"{isolated(started, scene, folder):.1f}" for which in ("first", "second")}
-    return {"scene": f"`{name}` ({scene.dimension}D)"} | seconds
+    return {"scene": f"`{name}` ({scene.dimension}D{', water' if scene.material.saturated else ''})"} | seconds
 
 
 def mean_x(positions: NDArray[np.float64], _: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], None]:
@@ -274,7 +274,9 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
     rates = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
-    features = [feature_row(name, *priced, 3 * rounds) for name, priced in featured().items()]
+    priced_features = featured()
+    features = [feature_row(name, *priced, 3 * rounds) for name, priced in priced_features.items()]
+    wet = priced_features[WET][1]
     whole = read_scene(PRICED)
     finer = [replace(whole.with_cell(whole.domain.cell / times), duration=duration) for times, duration in FINER]
     prices = [isolated(price, scene, rounds) for scene in finer]
@@ -290,7 +292,7 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
         large=LARGE,
         rates=rate_rows(rates),
         features=features,
-        starts=[started_row(name) for name in STARTED],
+        starts=[started_row(*kind) for kind in [*((name, read_scene(name)) for name in STARTED), (WET, wet)]],
         priced=PRICED,
         prices=formatted(prices, PRICE),
         networks=formatted(networks, NETWORK),
