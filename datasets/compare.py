@@ -25,6 +25,7 @@ from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.flow import measures
 from datasets.flow.fields import FlowFields, Values, pairs
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_file
+from datasets.maps import require_same_place
 from datasets.markdown import markdown_table
 from datasets.scene.grid_field import Floats
 
@@ -152,8 +153,7 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     """
     dimension, its = one.scene.dimension, other.scene.dimension
     require(dimension == its, "", f"a {dimension}D flow to compare with one", f"{its}D")
-    places = [flow.scene.domain.corner.tolist() for flow in (one, other)]
-    require(places[0] == places[1], "", f"a flow in a box at {places[0]}, as the other", f"one at {places[1]}")
+    require_same_place(one.scene, other.scene)
     both, columns = (FlowFields(one), FlowFields(other)), Columns.of_flows((one, other))
     same = pairs(*both)
     end = float(other.time[-1]) * (1.0 + 1e-9)

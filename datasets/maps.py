@@ -189,6 +189,18 @@ def map_corner(scene: Scene) -> tuple[tuple[float, ...], str | None]:
     return next(corners, ((east, north), scene.domain.crs))
 
 
+def require_same_place(one: Scene, other: Scene, whose: str = "the other") -> None:
+    """Raise InputError where the box of `other` does not lie at the place on the map where that of `one` does.
+
+    whose: what the message calls the first.
+    """
+    places = [scene.domain.corner.tolist() for scene in (one, other)]
+    for scene, place in zip((one, other), places, strict=True):
+        if scene.dimension == 3:
+            place[0], place[2] = map_corner(scene)[0]
+    require(places[0] == places[1], "", f"a flow in a box at {places[0]}, as {whose}", f"one at {places[1]}")
+
+
 def region_above(grid: Grid, values: Floats, threshold: float, corner: Sequence[float] = (0.0, 0.0)) -> MultiPolygon:
     """Polygons with holes where `values` [X, Z], linear between the middles of cells and even in the outer half of the
     last, exceed a threshold; `corner` [m] added. Outer rings run anticlockwise, holes clockwise."""

@@ -17,7 +17,7 @@ from inverse.answer import UNIFORM, Answer, Combination, MpmRun, Verdict, peak_m
 from inverse.fields.posterior import FieldPosterior
 from inverse.observations import Values
 from inverse.observations.target import Target
-from inverse.parameters import Vector
+from inverse.parameters import Vector, changed_material
 from inverse.posterior.answers import half_widths
 from inverse.posterior.posterior import Posterior
 from inverse.problem import Problem
@@ -185,7 +185,9 @@ class Result:
         keys: dict[str, Any] = {
             "problem": problem.name,
             "solids": [[solid.name, solid.kind] for solid in problem.scene.solids],
-            "angle": problem.scene.material.angle,
+            "angle": {
+                name: found[1].angle for name in problem.names if (found := changed_material(problem.scene, name))
+            },
             "verdict": self.verdict.value,
             "unknowns": self.unknowns,
             "interval": self.interval,

@@ -1,16 +1,18 @@
 """Everything that a result leaves in a folder, and its posterior read again."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from datasets.errors import require
+from datasets.errors import InputError, require
 from datasets.files import make_folder, read_json, reading, replacing, write_json, write_text
 from datasets.flow.array_files import read_arrays, write_npz
 from datasets.scene import Scene
 from datasets.scene.library import write_scene
 from inverse import inference_data, pictures, report
+from inverse.parameters import changed_material, kind
 from inverse.posterior import Matrix
 from inverse.posterior.sampling import systematic
 from inverse.result import Result
@@ -50,8 +52,57 @@ def read_samples(path: Path) -> tuple[list[str], Matrix]:
         return names, samples[order]
 
 
-def require_same_angle(path: Path, names: Sequence[str], scene: Scene) -> None:
-    """Raises InputError where samples at `path` of angles of friction were measured otherwise than a scene's."""
-    angle, own = (read_json(path.parent / "result.json") or {}).get("angle"), scene.material.angle
-    if angle is not None and any(name.endswith(("friction_deg", "friction_limit_deg")) for name in names):
-        require(own == angle, "material.angle", f"{angle}, as in the inversion in {path.parent}", own)
+def known_of(result: Path, scene: Scene) -> tuple[list[str], Matrix, list[str]]:
+    """Names and samples [S, U] of the unknowns of a result that a scene has too, and what is to be said of it.
+
+    result: its folder or `posterior.npz`. Raises InputError where the scene has none of them, or measures their angles
+    of friction in another way.
+    """
+    path = result if result.suffix == ".npz" else result / "posterior.npz"
+    if not path.exists():
+        expected = "expected the folder of validation.loop with posterior.npz, of unknown numbers and not of fields"
+        raise InputError(expected, where=str(result))
+    names, samples = read_samples(path)
+    record = read_json(path.parent / "result.json") or {}
+    angles = record.get("angle")
+    remarks, kept = [], []
+    for index, name in enumerate(names):
+        try:
+            require(name != "time_offset", "", "a number of a scene", "the clock of the observations")
+            names[index] = in_scene(name, record.get("solids", []), scene)
+            kind(names[index]).check(scene)
+        except InputError as error:
+            remarks.append(f"{name} of the inversion is not used: {error.message}")
+            continue
+        kept.append(index)
+        if names[index] != name:
+            remarks.append(f"{name} of the inversion is {names[index]} of this scene")
+        angle = angles.get(name) if isinstance(angles, Mapping) else angles
+        if angle is not None and (changed := changed_material(scene, names[index])) is not None:
+            key, material = changed
+            expected = f"{angle}, as in the inversion in {path.parent}"
+            require(material.angle == angle, f"{key}.angle", expected, material.angle)
+    if not kept:
+        raise InputError(f"expected a scene with one of {', '.join(names)}: {remarks[0]}", where=str(path))
+    verdict = record.get("verdict")
+    if verdict not in (None, "confirmed"):
+        remarks.append(f"the answer of the inversion is {verdict}")
+    return [names[index] for index in kept], samples[:, kept], remarks
+
+
+def in_scene(name: str, solids: Sequence[tuple[str | None, str]], scene: Scene) -> str:
+    """The name in `scene` of an unknown: that of a solid goes to the one of the same name, else the one of its kind.
+
+    solids: name and kind of each in the inversion. Raises InputError where the scene has none like it.
+    """
+    number = re.match(r"solids\[(\d+)\]", name)
+    if number is None or int(number[1]) >= len(solids):
+        return name
+    index, (called, form) = int(number[1]), solids[int(number[1])]
+    named = [called is not None and solid.name == called for solid in scene.solids]
+    for alike in (named, [solid.kind == form for solid in scene.solids]):
+        if sum(alike) == 1:
+            return f"solids[{alike.index(True)}]{name[number.end() :]}"
+    same = index < len(scene.solids) and scene.solids[index].kind == form
+    require(same, "", f"a {form} in the scene, as solids[{index}] of the inversion", "none or several")
+    return name

@@ -8,6 +8,7 @@ import numpy as np
 from datasets.errors import keyed, naming, require
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory
+from datasets.maps import require_same_place
 from datasets.scene import Scene
 from datasets.scene.particles import particle_count
 from inverse.observations.target import Target, joined
@@ -60,6 +61,7 @@ def read_run(problem: Problem) -> Trajectory:
     with naming(path):
         dimension, its = problem.scene.dimension, run.scene.dimension
         require(its == dimension, "", f"a {dimension}D trajectory as the scene's", f"{its}D")
+        require_same_place(problem.scene, run.scene, "the scene's")
         count, got = particle_count(problem.scene), run.positions.shape[1]
         fits = got == count or not any(operator.every_particle for operator in problem.operators)
         require(fits, "", f"the {count} particles of the problem's scene for a deposit", got)

@@ -27,6 +27,7 @@ from datasets.flow.fields import RANGE_QUANTILE, SCALES, Colour, ColourScale, Fl
 from datasets.flow.trajectory import Trajectory
 from datasets.geometry.ground import ground_raster
 from datasets.geometry.surface import closed_body, solids_of
+from datasets.maps import require_same_place
 from datasets.scene import Scene
 from datasets.scene.material import Material
 
@@ -104,12 +105,14 @@ def write_view(
     labels: Sequence[str] = ("A", "B"),
     observed: Observed | None = None,
 ) -> None:
-    """Write the page of a flow, or of two at the times of the first. Raises InputError for one in 2D and one in 3D."""
+    """Write the page of a flow, or of two at the times of the first. Raises InputError for one in 2D and one
+    in 3D, and for boxes in two places of a map."""
     flows = (flow,) if other is None else (flow, other)
     dimension = flow.scene.dimension
     for run in flows[1:]:
         its = run.scene.dimension
         require(its == dimension, "", f"a {dimension}D flow over one", f"{its}D")
+        require_same_place(flow.scene, run.scene)
     columns, times = Columns.of_flows(flows), evenly(flow.time, FRAMES)
     shown = [Shown(run, columns) for run in flows]
     same = None if other is None else pairs(shown[0].fields, shown[1].fields)

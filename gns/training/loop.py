@@ -291,7 +291,9 @@ def load(
             raise InputError(message, where=flow.name)
     every = list(chain.from_iterable(valid))
     count = min(training.validate_flows, len(every))
-    return train, [every[index * len(every) // count] for index in range(count)]
+    # At random, for kinds of scenes alternate: every third flow may be a column.
+    chosen = np.random.default_rng(0).choice(len(every), count, replace=False)
+    return train, [every[index] for index in sorted(chosen)]
 
 
 def untrained(settings: ModelSettings, flows: Sequence[Flows]) -> Simulator:

@@ -81,7 +81,10 @@ def density_loss(points: Tensor, targets: Tensor, conditions: Conditions, cell: 
         return points.new_zeros(())
     samples, share = len(conditions.size), conditions.volume.unsqueeze(1) / cell ** points.shape[1]
     batch = None if conditions.batch is None else conditions.batch.repeat(2)
-    stencil = stencil_of(torch.cat((points, targets)), conditions.size, cell, batch)
+    # A correction may lead out of the box, where no nodes are.
+    box = conditions.size if batch is None else conditions.size.index_select(0, batch)
+    places = torch.minimum(torch.cat((points, targets)).clamp(min=0.0), box)
+    stencil = stencil_of(places, conditions.size, cell, batch)
     none = torch.zeros_like(share)
     # Each summed in the same order, so that the same particles have the same density to the bit.
     density, required = (stencil.scatter(torch.cat(both)).view(samples, -1) for both in ((share, none), (none, share)))

@@ -5,12 +5,17 @@
 w shares the volume V_p of a particle linearly between the cells around it, as `datasets.maps` does; A is the area of a
 cell. Volumes are those at the initial density. With n the normal of the ground and g gravity, f is n_y for a thickness
 normal to the ground, and n_y |g| / (-n . g) for a vertical one, along gravity.
+
+Many cells are compared in blocks, by means over them. A peak is taken in the cells first, over the frames and, where
+the flow crosses cells from one frame to the next, between these: the mean of the largest is more than the largest mean.
 """
 
+import itertools
 import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -25,7 +30,7 @@ from datasets.exchange.points import ENDINGS, read_points
 from datasets.exchange.rasters import Raster, read_raster, same_system
 from datasets.flow.trajectory import Trajectory
 from datasets.geometry.ground import elevation, slopes_in_plan
-from datasets.maps import map_corner
+from datasets.maps import BETWEEN, FAST, map_corner
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats, Grid
 from datasets.scene.parts import Length
@@ -84,32 +89,46 @@ def factors(scene: Scene, grid: Grid, direction: str) -> Floats:
 
 
 class Thickness(SmoothObservation):
-    """The thickness in cells of a raster: of the deposit, or the largest in any frame; M numbers [m]."""
+    """The thickness in cells of a raster or blocks: of the deposit, or the largest at any time; M numbers [m]."""
 
     kind = "thickness"
     label = "the thickness over the plan"
     of_positions, dense = False, True
 
     def __init__(
-        self, scene: Scene, settings: "ThicknessSettings", grid: Grid, cells: NDArray[np.int64] | None = None
+        self, scene: Scene, settings: "ThicknessSettings", blocks: "Blocks", chosen: NDArray[np.int64] | None = None
     ) -> None:
-        """cells: those of `grid` that were measured; all where absent."""
+        """chosen: those of the blocks that were measured; all where absent."""
         super().__init__(scene, settings)
-        self.grid, self.over_time = grid, settings.peak
-        self.cells = np.arange(grid.count) if cells is None else cells
+        self.blocks, self.grid, self.over_time = blocks, blocks.grid, settings.peak
+        self.cells = np.arange(self.grid.count) if chosen is None else chosen
         self.count = len(self.cells)
-        self.factor = (factors(scene, grid, settings.direction) / math.prod(grid.spacing))[self.cells]
+        inside = blocks.cells
+        self.factor = torch.from_numpy(factors(scene, inside, settings.direction) / math.prod(inside.spacing))
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        return volume_over(self.grid, positions, volumes)[torch.from_numpy(self.cells)] * torch.from_numpy(self.factor)
+        return self.measured(self.in_cells(positions, volumes))
+
+    def in_cells(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        """The thickness in each of the cells within the blocks [m]."""
+        return volume_over(self.blocks.cells, positions, volumes) * self.factor
+
+    def measured(self, thickness: Tensor) -> Tensor:
+        """The means over the blocks that were measured of a thickness in the cells."""
+        return self.blocks.means(thickness)[torch.from_numpy(self.cells)]
 
     def predict(self, rollout: Rollout) -> Tensor:
         if not self.over_time:
             return super().predict(rollout)
-        highest = self.smooth(rollout.positions[0], rollout.volumes)
-        for frame in rollout.positions[1:]:
-            highest = torch.maximum(highest, self.smooth(frame, rollout.volumes))
-        return highest
+        positions, volumes = rollout.positions, rollout.volumes
+        highest = self.in_cells(positions[0], volumes)
+        for before, after in itertools.pairwise(positions):
+            moved = torch.quantile((after - before).detach().norm(dim=1).float(), FAST).item()
+            count = min(max(math.ceil(moved / min(self.blocks.cells.spacing)), 1), BETWEEN)
+            for share in range(1, count + 1):
+                moment = torch.lerp(before, after, share / count)
+                highest = torch.maximum(highest, self.in_cells(moment, volumes))
+        return self.measured(highest)
 
     def prior_scatter(self, values: Values) -> Values:
         columns = max(1.0, min(self.grid.spacing) / self.scene.domain.cell)
@@ -136,35 +155,39 @@ class ThicknessSettings(ObservationSettings):
         require(allowed, "cell", "none beside a raster, which has its own", self.cell)
 
     def operator(self, scene: Scene) -> Thickness:
-        grid = plan_grid(scene, max(self.cell or 0.0, scene.domain.cell))
+        edge, parts = max(self.cell or 0.0, scene.domain.cell), (1, 1)
+        grid = plan_grid(scene, edge)
         if grid.count > MOST:
             grid = plan_grid(scene, math.sqrt(math.prod(plan_sides(scene)) / MOST))
-        return Thickness(scene, self, grid)
+            parts = (max(1, int(grid.spacing[0] / edge)), max(1, int(grid.spacing[1] / edge)))
+        return Thickness(scene, self, Blocks(grid, parts))
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         plan_sides(scene)
         path, (corner, crs) = folder / str(self.file), map_corner(scene)
         with naming(path):
             if path.suffix.lower() in ENDINGS:
-                grid, values = self.surveyed(scene, path)
+                cut, values = self.surveyed(scene, path)
             else:
                 raster = read_raster(path)
                 require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
-                grid, values = blocks(raster, corner, scene)
+                cut, values = in_blocks(raster, corner, scene)
+            grid = cut.grid
             if released is not None and not self.peak:
                 volume = float(np.nansum(values / factors(scene, grid, self.direction)) * math.prod(grid.spacing))
                 most = TOO_MUCH * released * scene.domain.size[2]
                 expected = f"a volume of at most {most:.4g} m^3, twice the released one"
                 require(volume <= most, "", expected, f"{volume:.4g}")
-            return self.measured(scene, grid, values)
+            return self.measured(scene, cut, values)
 
-    def surveyed(self, scene: Scene, path: Path) -> tuple[Grid, Values]:
+    def surveyed(self, scene: Scene, path: Path) -> tuple["Blocks", Values]:
         """Cells, and the thickness [m] of what the points of a survey show above the ground in each [K].
 
         The mean over the points of a cell of their elevation above the terrain, NaN without points; where it is below
         twice the noise, the ground is bare.
         """
-        (corner, crs), grid = map_corner(scene), self.operator(scene).grid
+        (corner, crs), cut = map_corner(scene), self.operator(scene).blocks
+        grid = cut.grid
         low, sides = np.array(corner), np.array(plan_sides(scene))
         points = read_points(path, crs, low, low + sides)
         plan = points[:, :2] - low
@@ -178,14 +201,15 @@ class ThicknessSettings(ObservationSettings):
             said = f"half of the survey lies {-deep:.2g} m or more beneath the terrain of the scene: another datum?"
             warnings.warn(f"{path}: {said}", stacklevel=2)
         values[values < 2.0 * deviation] = 0.0
-        return grid, values * factors(scene, grid, self.direction)
+        return cut, values * factors(scene, grid, self.direction)
 
     def of_run(self, scene: Scene, run: Trajectory) -> Target:
         whole = self.operator(scene)
-        return self.measured(scene, whole.grid, whole.observe(run))
+        return self.measured(scene, whole.blocks, whole.observe(run))
 
-    def measured(self, scene: Scene, grid: Grid, values: Values) -> Target:
-        """The target of values [m] in the cells of `grid` [K], NaN where there are none; cells around them count."""
+    def measured(self, scene: Scene, cut: "Blocks", values: Values) -> Target:
+        """The target of values [m] in the blocks `cut` [K], NaN where there are none; those around them count."""
+        grid = cut.grid
         covered = (np.nan_to_num(values) > 0.0).reshape(grid.nodes)
         require(bool(covered.any()), "", "a thickness above 0 m in the box", "none")
         beside = binary_dilation(covered, np.ones((3, 3))) & ~covered
@@ -201,10 +225,31 @@ class ThicknessSettings(ObservationSettings):
         # A deposit thinner than the noise would not have been seen on bare ground.
         deviation = Noise.stated(self.noise).of(np.where(shown > 0.0, shown, shown[shown > 0.0].mean()))
         errors = Covariance.correlated(deviation, grid.positions[cells], self.length)
-        return Target(observation=Thickness(scene, self, grid, cells), values=shown, errors=errors)
+        return Target(observation=Thickness(scene, self, cut, cells), values=shown, errors=errors)
 
 
-def blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Grid, Values]:
+@dataclass(frozen=True)
+class Blocks:
+    """Blocks of cells in plan, K in all."""
+
+    grid: Grid  # of the blocks
+    parts: tuple[int, int]  # how many cells a block has along x and z
+
+    @cached_property
+    def cells(self) -> Grid:
+        """The cells within the blocks."""
+        both = [*zip(self.grid.origin, self.grid.spacing, self.grid.nodes, self.parts, strict=True)]
+        origin = tuple(first - 0.5 * length * (1.0 - 1.0 / parts) for first, length, _, parts in both)
+        spacing = tuple(length / parts for _, length, _, parts in both)
+        return Grid(origin, spacing, tuple(count * parts for _, _, count, parts in both))
+
+    def means(self, values: Tensor) -> Tensor:
+        """The mean over each block, shape [K], of values in the cells."""
+        (x, z), (of_x, of_z) = self.grid.nodes, self.parts
+        return values.view(x, of_x, z, of_z).mean(dim=(1, 3)).flatten()
+
+
+def in_blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Blocks, Values]:
     """The cells of a raster in the box, and their values [K]: means over blocks of a cell of the scene at least.
 
     corner: of the box on the map [m], shape [2]; a block with a hole is one. Raises InputError where none lies in it.
@@ -214,12 +259,18 @@ def blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Grid,
         kept.append(np.flatnonzero((at > 0.0) & (at < side)))
         expected = f"cells between 0 and {side:g} m from the corner of the box"
         require(len(kept[-1]) > 0, "", expected, "none of them there")
-    width = math.ceil(scene.domain.cell / min(raster.spacing) - 1e-6)
-    width = max(width, math.ceil(math.sqrt(len(kept[0]) * len(kept[1]) / MOST)))
-    counts = tuple(max(1, len(indices) // width) for indices in kept)
-    width_x, width_z = widths = tuple(min(width, len(indices)) for indices in kept)
-    rows = [indices[: count * block] for indices, count, block in zip(kept, counts, widths, strict=True)]
-    cut = raster.values[np.ix_(*rows)].reshape(counts[0], width_x, counts[1], width_z)
-    spacing = (raster.spacing[0] * width_x, raster.spacing[1] * width_z)
+    # Cells of the model are no finer than the scene's.
+    least = math.ceil(scene.domain.cell / min(raster.spacing) - 1e-6)
+    width = least * math.ceil(max(1.0, math.sqrt(len(kept[0]) * len(kept[1]) / MOST) / least))
+    parts = [max(1, min(width, len(indices)) // least) for indices in kept]
+    widths = [min(part * least, len(indices)) for part, indices in zip(parts, kept, strict=True)]
+    counts = [len(indices) // block for indices, block in zip(kept, widths, strict=True)]
+    rows = []
+    for indices, count, block in zip(kept, counts, widths, strict=True):
+        # What blocks do not fill is left at both ends.
+        rows.append(indices[(len(indices) - count * block) // 2 :][: count * block])
+    cut = raster.values[np.ix_(*rows)].reshape(counts[0], widths[0], counts[1], widths[1])
+    spacing = (raster.spacing[0] * widths[0], raster.spacing[1] * widths[1])
     origin = tuple(float(at[row[:block]].mean()) for at, row, block in zip(places, rows, widths, strict=True))
-    return Grid(origin, spacing, counts), np.asarray(cut.mean(axis=(1, 3)).ravel())
+    grid = Grid(origin, spacing, (counts[0], counts[1]))
+    return Blocks(grid, (parts[0], parts[1])), np.asarray(cut.mean(axis=(1, 3)).ravel())

@@ -20,6 +20,7 @@ from scipy.stats import qmc
 
 from datasets.errors import InputError, keyed, require
 from datasets.scene import Scene
+from datasets.scene.material import Material
 from datasets.schema import Bounds, Record
 from inverse.parameters.kind import KINDS, Draft, Kind, Vector
 from inverse.parameters.prior import Marginal, Prior
@@ -176,6 +177,16 @@ class Parameter(Record):
     def _index_of(self, group: str) -> int | None:
         match = re.match(rf"{group}\[(\d{{1,6}})\]\.", self.name)
         return None if match is None else int(match[1])
+
+
+def changed_material(scene: Scene, name: str) -> tuple[str, Material] | None:
+    """The material of `scene` whose angle of friction the parameter `name` is, and its key; None for another number."""
+    match = re.fullmatch(r"(?:masses\[(\d{1,6})\]\.)?(residual_)?friction(_limit)?_deg", name)
+    if match is None:
+        return None
+    if match[1] is None or scene.masses[int(match[1])].material is None:
+        return "material", scene.material
+    return f"masses[{match[1]}].material", scene.material_of(scene.masses[int(match[1])])
 
 
 def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str) -> None:

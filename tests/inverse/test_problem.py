@@ -158,6 +158,9 @@ def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
     seen.save(tmp_path / "seen.npz")
     whole = small("deposit", tmp_path, TargetSettings(trajectory="seen.npz"))
     refused(read_target, whole, fall, said="seen.npz: expected the 3200 particles")
+    elsewhere = dataclasses.replace(problem.scene, domain=dataclasses.replace(problem.scene.domain, origin=(9.0, 0.0)))
+    said = "seen.npz: expected a flow in a box at [9.0, 0.0], as the scene's"
+    refused(read_target, dataclasses.replace(problem, scene=elsewhere), fall, said=said)
     observation = problem.operators[0]
     target = read_target(problem, fall)
     assert target.truth is None

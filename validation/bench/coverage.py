@@ -32,7 +32,7 @@ from inverse.target import read_target
 from mpm import simulate_many
 from mpm.cluster import pool
 from validation.bench.page import Keep, Many, Out, Row, emphasised, write_page
-from validation.forecast.predict import at, numbers_of, quantiles, recording_of
+from validation.forecast.predict import at, numbers_of, quantiles, recording_of, with_peaks
 from validation.forecast.solve import forecast_scene
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
@@ -181,7 +181,7 @@ def forecasts(family: Family, number: int, problem: Problem, result: Path, simul
     true = at(scene, problem.names, np.array([problem.target.truth[name] for name in problem.names]), number)
     if family.finer is not None:
         true = true.with_cell(family.finer * true.domain.cell)
-    (flow,) = simulate([true], record=recording_of(scene))
+    flow = with_peaks(simulate([true], record=recording_of(scene))[0])
     ends = {name: quantiles(values, 0.95) for name, values in prediction.predicted.items()}
     return {name: bool(ends[name][0] <= value <= ends[name][-1]) for name, value in numbers_of(flow).items()}
 

@@ -4,6 +4,7 @@ minimise c . d    subject to    P(y(d, u, e) < L) >= p,    u ~ prior or posterio
 """
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -27,7 +28,7 @@ from inverse.parameters.field import UnknownField
 from inverse.parameters.prior import Correlation, JointPrior
 from inverse.posterior import Matrix, Row
 from inverse.problem import Box, read_problem
-from inverse.saving import read_samples, require_same_angle
+from inverse.saving import known_of
 from inverse.search.waves import jitter_seed
 from inverse.settings import counted
 
@@ -44,6 +45,7 @@ class Limit(Record):
     quantity: Literal["front", "runout", "impact_force"]
     """Of the deposit [m]; the largest mean force between two frames [N, in 2D N per metre of width]."""
     below: float
+    """[m, N or N/m]; of a front or runout on the map where the box of the scene has an origin."""
     probability: Annotated[float, Bounds("a probability in [0.5, 1)", ge=0.5, lt=1.0)] = 0.95
     solid: str | None = None
     """Of a force: on which baffle or solid, by its name; the largest on any where absent."""
@@ -75,8 +77,13 @@ class Limit(Record):
 
     def check(self, scene: Scene) -> None:
         """Raise InputError for a limit that flows of `scene` cannot have."""
-        top = np.inf if self.force else scene.domain.size[0]
-        require(0.0 < self.below < top, "limit.below", f"a number in (0, {top:g})", self.below)
+        low, length, place = float(scene.domain.corner[0]), scene.domain.size[0], ""
+        if self.force:
+            low, length = 0.0, np.inf
+        elif scene.domain.origin is not None:
+            place = ", an x on the map, as the origin of the box"
+        expected = f"a number in ({low:.10g}, {low + length:.10g}){place}"
+        require(low < self.below < low + length, "limit.below", expected, self.below)
         plain = self.solid is None and self.window == 0.0
         require(plain or self.force, "limit.quantity", "impact_force beside solid or window", self.quantity)
         require(0.0 <= self.window <= scene.duration, "limit.window", f"up to {scene.duration:g} s", self.window)
@@ -151,6 +158,8 @@ class DesignProblem(_Keys):
     """Of the posterior of the last of the uncertain numbers, of equal weight, shape [S, Q']."""
     fields: tuple[tuple[UnknownField, Matrix], ...] = ()
     """Unknown fields, each with draws of its posterior, shape [S, K]; of one draw all are together."""
+    remarks: Sequence[str] = ()
+    """What is to be said of the posterior, a sentence each."""
 
     def __post_init__(self) -> None:
         by_key = dict[str, Parameter]()
@@ -278,18 +287,16 @@ def read_design(name: str | Path) -> DesignProblem:
     with naming(path):
         file = from_mapping(DesignFile, read_toml(path))
         keys = dict(vars(file))
-        if (posterior := keys.pop("posterior")) is not None:
-            names, keys["samples"] = read_samples(path.parent / posterior)
-            lower, upper = (end.tolist() for end in (keys["samples"].min(axis=0), keys["samples"].max(axis=0)))
-            ranges = zip(names, lower, upper, strict=True)
-            keys["uncertain"] += tuple(Parameter(name=name, lower=low, upper=high) for name, low, high in ranges)
         keys["fields"] = () if file.fields is None else read_fields(file.fields, path.parent)
         if isinstance(file.scene, str):
             keys["scene"] = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
         else:
             keys["scene"] = scene_from(file.scene, path.parent)
-        if posterior is not None:
-            require_same_angle(path.parent / posterior, names, keys["scene"])
+        if (posterior := keys.pop("posterior")) is not None:
+            names, keys["samples"], keys["remarks"] = known_of(path.parent / posterior, keys["scene"])
+            lower, upper = (end.tolist() for end in (keys["samples"].min(axis=0), keys["samples"].max(axis=0)))
+            ranges = zip(names, lower, upper, strict=True)
+            keys["uncertain"] += tuple(Parameter(name=name, lower=low, upper=high) for name, low, high in ranges)
         return DesignProblem(name=path.stem, **keys)
 
 

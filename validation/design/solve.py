@@ -115,6 +115,7 @@ def summary(outcome: Design | RacedDesign) -> list[str]:
     design = ", ".join(f"{name} = {kind.text(value)}" for kind, (name, value) in both)
     cost = f"; cost {outcome.price:.4g}" if problem.cost else ""
     low, high = outcome.interval
+    on_map = problem.scene.domain.origin is not None and not limit.force
     if isinstance(outcome, Design):
         model = outcome.reliability
         before = (
@@ -133,16 +134,16 @@ def summary(outcome: Design | RacedDesign) -> list[str]:
     lines = [
         f"{problem.name}: {outcome.verdict}",
         f"design: {design}{cost}",
-        f"{limit.quantity} below {limit.below:g} {problem.unit}: asked of {100.0 * limit.probability:g} % of the flows",
+        f"{limit.quantity} below {limit.below:.10g} {problem.unit}: asked of {100.0 * limit.probability:g} % of flows",
         before,
         f"by the MPM of {checks - outcome.exceeding} of {checks} fresh flows, so of {100.0 * low:.1f} to "
         f"{100.0 * high:.1f} % (95 %): {outcome.exceeding} exceed it where {problem.allowed} may, the largest is "
-        f"{outcome.responses.max():.4g} {problem.unit}",
+        f"{outcome.responses.max():{'.1f' if on_map else '.4g'}} {problem.unit}",
         f"{spent}{',' if isinstance(outcome, Design) else ''} {outcome.seconds:.0f} s",
     ]
     if outcome.moving:
         lines.append(f"{outcome.moving} of these flows still move and may yet exceed it: a longer duration decides")
-    return [*lines, outcome.remark] if outcome.remark else lines
+    return [*lines, *problem.remarks, *filter(None, [outcome.remark])]
 
 
 def report(outcome: Design | RacedDesign) -> str:

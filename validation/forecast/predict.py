@@ -17,7 +17,6 @@ In 3D the share of the draws in which a cell of the plan is covered, or hit, is 
 the cells and of the model are not in the maps.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -36,11 +35,11 @@ from datasets.scene.grid_field import Floats, Grid
 from datasets.scene.particles import initial_particles
 from inverse.parameters import with_parameters
 from inverse.search.waves import jitter_seed
-from mpm import LAST, Recording
+from mpm import ALL, LAST, Recording
 from validation.loop.verdict import OTHER_CELLS
 from validation.run_store import RunStore, caveats
 
-FRAMES = 50  # frames of a flow that are kept at most where its peaks are wanted
+PEAKS = "peaks"  # what the summary of a run keeps of all its frames: see `with_peaks`
 CHECKS = 2  # runs on the cells of the scene, and on others, by which that error is measured
 LEVELS = {"interval": 0.95, "half": 0.5}  # keys of intervals in `forecast.json`, and their probabilities
 
@@ -134,9 +133,10 @@ def predicted(
     covered: dict[str, Floats] = {}
     for flow in flows if scene.dimension == 3 else ():
         maps = maps_of(flow, scene.domain.cell, threshold=threshold)
-        hit = {"thickness": maps.thickness > maps.threshold, "depth": maps.depth > maps.threshold}
-        if pressure is not None and maps.velocity is not None:
-            hit["pressure"] = scene.material.density * maps.velocity**2 > pressure
+        peaks = flow.summary[PEAKS]
+        hit = {"thickness": maps.thickness > maps.threshold, "depth": np.array(peaks["depth"]) > maps.threshold}
+        if pressure is not None:
+            hit["pressure"] = scene.material_of(scene.masses[0]).density * np.array(peaks["velocity"]) ** 2 > pressure
         covered = {name: covered.get(name, 0.0) + where / len(flows) for name, where in hit.items()}
     return Forecast(
         scene=scene,
@@ -155,9 +155,29 @@ def predicted(
 
 
 def recording_of(scene: Scene) -> Recording:
-    """What of a flow its numbers and maps need: a force is a mean from frame to frame."""
-    moves = scene.dimension == 3 or len(solid_names(scene)) > 0
-    return Recording(frames=max(1, math.ceil((scene.frames - 1) / FRAMES))) if moves else LAST
+    """What of a flow `with_peaks` needs: a force is a mean from frame to frame, and a map has the largest of all."""
+    return ALL if scene.dimension == 3 or solid_names(scene) else LAST
+
+
+def with_peaks(flow: Trajectory, threshold: float | None = None) -> Trajectory:
+    """The deposit of a flow; in its summary, the largest of all frames.
+
+    `force` on each solid [N, in 2D N/m]; in 3D `depth` [m] and `velocity` [m/s] of each cell, shape [X, Z]. threshold:
+    [m], as of `datasets.maps`.
+    """
+    peaks = dict[str, Any]()
+    if names := solid_names(flow.scene):
+        forces = forces_of(flow)
+        largest = dict(zip(forces.names, (value for value, _ in forces.peaks), strict=True))
+        peaks["force"] = {name: largest[name] for name in names}
+    if flow.scene.dimension == 3:
+        maps = maps_of(flow, flow.scene.domain.cell, threshold=threshold)
+        velocity = np.zeros_like(maps.depth) if maps.velocity is None else maps.velocity
+        peaks |= {"depth": maps.depth.tolist(), "velocity": velocity.tolist()}
+    if not peaks:
+        return flow
+    last: dict[str, Any] = {name: getattr(flow, name)[-1:] for name in ("positions", "time")}
+    return replace(flow, **last, solid_impulse=None, summary=flow.summary | {PEAKS: peaks})
 
 
 def at(scene: Scene, names: Sequence[str], values: Floats, seed: int) -> Scene:
@@ -177,11 +197,8 @@ def numbers_of(flow: Trajectory) -> dict[str, float]:
         "front": float(scene.domain.corner[0]) + front(last[inside], volumes[inside]),
         "mean_height": height_of(scene, last[inside], volumes[inside]),
     }
-    if solids := solid_names(scene):
-        forces = forces_of(flow)
-        peaks = dict(zip(forces.names, (value for value, _ in forces.peaks), strict=True))
-        numbers |= {f"force {name}": peaks[name] for name in solids}
-    return numbers
+    forces = flow.summary.get(PEAKS, {}).get("force", {})
+    return numbers | {f"force {name}": float(force) for name, force in forces.items()}
 
 
 def height_of(scene: Scene, positions: Floats, volumes: Floats) -> float:

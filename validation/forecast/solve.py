@@ -1,23 +1,20 @@
 """A forecast, from the files of a result to its own: `forecast.json`, `report.md`, a picture, in 3D maps."""
 
-import re
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from datasets.errors import InputError, require
-from datasets.files import read_json, write_json, write_text
+from datasets.files import write_json, write_text
 from datasets.markdown import markdown_table
 from datasets.scene import Scene
-from datasets.scene.grid_field import Floats
 from datasets.scene.library import read_scene
 from inverse.forward import Simulate
-from inverse.parameters import kind
-from inverse.saving import read_samples, require_same_angle
+from inverse.saving import known_of
 from mpm import simulate_many
-from validation.forecast.predict import LEVELS, Forecast, predicted, quantiles
+from validation.forecast.predict import LEVELS, Forecast, predicted, quantiles, with_peaks
 from validation.plots import BLUE, GREY, LIGHT_BLUE, ORANGE, figure
 from validation.run_store import RunStore, kept
 
@@ -56,61 +53,20 @@ def forecast_scene(
     if asked.dimension == 2 and (threshold is not None or pressure is not None):
         key = "--threshold" if threshold is not None else "--pressure"
         raise InputError("expected a scene in 3D, a flow in 2D has no maps", key=key)
+    densities = {asked.material_of(mass).density for mass in asked.masses}
+    require(pressure is None or len(densities) == 1, "--pressure", "masses of one density", sorted(densities))
     names, samples, remarks = known_of(Path(result), asked)
+    if draws < DRAWS - 1:
+        remarks.append(f"{draws} flows enclose a further one in {100.0 * (draws - 1) / (draws + 1):.0f} % of the cases")
     options: dict[str, Any] = {"draws": draws, "model_error": model_error, "remarks": remarks}
     with kept(out) as folder:
-        store = RunStore(folder / "mpm", simulate, label="forecast-")
+        # A run keeps its peaks alone, and which cells a flow covers depends on the threshold.
+        place = "mpm" if threshold is None else f"mpm-{threshold:g}"
+        store = RunStore(folder / place, simulate, label="forecast-", reduce=partial(with_peaks, threshold=threshold))
         forecast = predicted(asked, names, samples, store, threshold=threshold, pressure=pressure, **options)
         if out is not None:
             save(forecast, folder, f"python -m validation.forecast {result} {scene} --out {out}")
     return forecast
-
-
-def known_of(result: Path, scene: Scene) -> tuple[list[str], Floats, list[str]]:
-    """Names and samples [S, U] of the unknowns of a result that a scene has too, and what is to be said of it."""
-    path = result if result.suffix == ".npz" else result / "posterior.npz"
-    if not path.exists():
-        expected = "expected the folder of validation.loop with posterior.npz, of unknown numbers and not of fields"
-        raise InputError(expected, where=str(result))
-    names, samples = read_samples(path)
-    record = read_json(path.parent / "result.json") or {}
-    remarks, kept = [], []
-    for index, name in enumerate(names):
-        try:
-            require(name != "time_offset", "", "a number of a scene", "the clock of the observations")
-            names[index] = in_scene(name, record.get("solids", []), scene)
-            kind(names[index]).check(scene)
-        except InputError as error:
-            remarks.append(f"{name} is no part of the forecast: {error.message}")
-        else:
-            kept.append(index)
-            if names[index] != name:
-                remarks.append(f"{name} of the inversion is {names[index]} of this scene")
-    if not kept:
-        raise InputError(f"expected a scene with one of {', '.join(names)}: {remarks[0]}", where=str(path))
-    require_same_angle(path, [names[index] for index in kept], scene)
-    verdict = record.get("verdict")
-    if verdict not in (None, "confirmed"):
-        remarks.append(f"the answer that is forecast is {verdict}")
-    return [names[index] for index in kept], samples[:, kept], remarks
-
-
-def in_scene(name: str, solids: Sequence[tuple[str | None, str]], scene: Scene) -> str:
-    """The name in `scene` of an unknown: that of a solid goes to the one of the same name, else the one of its kind.
-
-    solids: name and kind of each in the inversion. Raises InputError where the scene has none like it.
-    """
-    number = re.match(r"solids\[(\d+)\]", name)
-    if number is None or int(number[1]) >= len(solids):
-        return name
-    index, (called, form) = int(number[1]), solids[int(number[1])]
-    named = [called is not None and solid.name == called for solid in scene.solids]
-    for alike in (named, [solid.kind == form for solid in scene.solids]):
-        if sum(alike) == 1:
-            return f"solids[{alike.index(True)}]{name[number.end() :]}"
-    same = index < len(scene.solids) and scene.solids[index].kind == form
-    require(same, "", f"a {form} in the scene, as solids[{index}] of the inversion", "none or several")
-    return name
 
 
 def save(forecast: Forecast, folder: Path, command: str) -> None:

@@ -84,7 +84,10 @@ def digest(problem: Problem, deposit: Problem) -> str:
 
 def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
     """The problem of each deposit in a folder, by the name of its file. Raises InputError, which names a bad file."""
-    files = sorted(path for path in folder.glob("[!.]*") if path.suffix in (*SUFFIXES, ".csv"))
+    every = sorted(folder.glob("[!.]*"))
+    files = [path for path in every if path.suffix.lower() in (*SUFFIXES, ".csv")]
+    if others := [path.name for path in every if path not in files]:
+        print(f"{folder}: not deposits, which are .npz, .h5 or .csv: {', '.join(others)}", file=sys.stderr)
     if not files:
         raise InputError("expected deposits, files in .npz, .h5 or .csv; there are none", where=str(folder))
     for path, other in itertools.pairwise(files):
@@ -103,7 +106,7 @@ def of_deposit(problem: Problem, path: Path) -> Problem:
     """The problem with the deposit in a file as its target, and jitter seeds of its own."""
     target, observations = TargetSettings(trajectory=str(path.absolute())), problem.observations
     unmeasured = [replace(entry, **dict[str, Any](dict.fromkeys(entry.sources))) for entry in observations]
-    if path.suffix == ".csv":
+    if path.suffix.lower() == ".csv":
         (settings, *others) = unmeasured
         if others or not isinstance(settings, TabulatedSettings):
             message = f"expected a trajectory: the problem observes {', '.join(entry.kind for entry in observations)}"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from rasterio.transform import Affine
 
 from datasets import Scene, Trajectory, read_scene, write_scene
 from datasets.compare import compare
+from datasets.exchange.page import write_view
 from datasets.exchange.vtk import write_vtk
 from datasets.maps import maps_of, write
 from datasets.scene.particles import initial_particles, mass_volumes
@@ -196,4 +198,5 @@ def test_what_is_written_lies_on_the_map(tmp_path: Path) -> None:
     for name in ("particles-0001.vtp", "solids.vtp", "domain.vtp"):
         local, placed = (pyvista.read(folder / name).points for folder in (one, other))
         np.testing.assert_allclose(placed - np.array(PLACE), local, atol=1e-6)
-    assert "expected a flow in a box at" in str(refused(compare, flows["own"], flows["map"]))
+    for refuses in (compare, partial(write_view, "view.html")):
+        assert "expected a flow in a box at" in str(refused(refuses, flows["own"], flows["map"]))

@@ -11,7 +11,8 @@ import torch
 
 from datasets import Domain, Mass, Scene, Solid, Trajectory
 from datasets.exchange.rasters import write_raster
-from inverse.observations import OutlineSettings, ThicknessSettings
+from datasets.maps import maps_of
+from inverse.observations import OutlineSettings, ThicknessSettings, plan
 from inverse.observations.outline import Boundary
 from inverse.problem import read_problem
 from tests.refusals import refused
@@ -77,6 +78,21 @@ def test_the_peak_is_the_largest_of_all_frames() -> None:
     shown = peak.observe(run).reshape(peak.grid.nodes)
     np.testing.assert_allclose(shown[5:11, 5:11], 0.1, rtol=1e-6)
     np.testing.assert_allclose(shown[13:19, 5:11], 0.1, rtol=1e-6)
+
+
+@pytest.mark.parametrize("most", [1500, 60])
+def test_a_flow_fits_the_map_of_its_own_peaks(most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also in blocks of cells, over three of which it moves from one frame to the next."""
+    monkeypatch.setattr(plan, "MOST", most)
+    made = scene(origin=True)
+    positions = np.repeat(layer(made).positions, 3, axis=0)
+    positions[..., 0] += 0.6 * np.arange(3)[:, None]
+    run = dataclasses.replace(layer(made), positions=positions, time=np.arange(3.0))
+    write_raster(tmp_path / "peak.tif", maps_of(run, 0.2).depth, 0.2, CORNER, "EPSG:2056", "depth", "m")
+    settings = ThicknessSettings(file="peak.tif", noise=0.01, peak=True, direction="vertical")
+    target = settings.read(made, tmp_path, None)
+    assert target.observation.grid.count <= most
+    np.testing.assert_allclose(target.observation.observe(run), target.values, atol=2.0e-3)
 
 
 @pytest.mark.parametrize("cell", [0.05, 0.2, 0.4])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from datasets import Baffle, Mass, Scene, Trajectory, write_scene
+from datasets import Baffle, Mass, Scene, Solid, Trajectory, write_scene
 from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles
 from inverse import Correlation, Parameter, Prior
@@ -158,8 +158,36 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
     assert np.corrcoef(drawn[:, 1], drawn[:, 2])[0, 1] == pytest.approx(-1.0)
     assert abs(np.corrcoef(drawn[:, 0], drawn[:, 1])[0, 1]) < 0.3
     assert drawn[:, 1].mean() == pytest.approx(angle[angle > 30.0].mean(), abs=0.1)
-    (file.parent / "result.json").write_text(json.dumps({"angle": "slope"}))
+    (file.parent / "result.json").write_text(json.dumps({"angle": {"friction_deg": "slope"}}))
     refused(read_design, file, said="material.angle: expected slope, as in the inversion")
+
+
+def test_a_posterior_goes_to_the_solid_that_it_is_of(file: Path) -> None:
+    """A wall stands before the bed in this scene, and its friction is its own."""
+    wall = Solid(name="wall", lower=(0.9, 0.0), size=(0.05, 0.1), friction=0.2)
+    bed = Solid(name="bed", kind="terrain", points=((0.0, 0.0), (1.0, 0.0)), friction=0.2)
+    write_scene(replace(SCENE, solids=(wall, bed)), file.parent / "scene.toml")
+    samples = np.linspace(0.3, 0.5, 50)[:, None]
+    np.savez(file.parent / "posterior.npz", names=["solids[0].friction"], samples=samples, weights=np.full(50, 0.02))
+    (file.parent / "result.json").write_text(json.dumps({"solids": [["bed", "terrain"]], "verdict": "ambiguous"}))
+    lines = [line for line in PROBLEM.splitlines() if not line.startswith("uncertain")]
+    file.write_text("\n".join(['posterior = "posterior.npz"', *lines]))
+    problem = read_design(file)
+    assert problem.uncertain[-1].name == "solids[1].friction"
+    assert list(problem.remarks) == [
+        "solids[0].friction of the inversion is solids[1].friction of this scene",
+        "the answer of the inversion is ambiguous",
+    ]
+
+
+def test_a_limit_is_on_the_map_where_the_box_is() -> None:
+    there = replace(SCENE, domain=replace(SCENE.domain, origin=(5000.0, 100.0)))
+    problem = problem_of(scene=there, limit=Limit(quantity="front", below=5000.7))
+    response = Known(problem)
+    found = designed(problem, lambda points, first: 5000.0 + response(points, first))
+    assert found.verdict is Verdict.CONFIRMED
+    said = "limit.below: expected a number in (5000, 5001), an x on the map, as the origin of the box, got 0.7"
+    refused(problem_of, scene=there, said=said)
 
 
 @pytest.mark.parametrize(

@@ -12,13 +12,13 @@ import rasterio
 from scipy.stats import norm
 
 from datasets import Mass, Scene, Solid, Trajectory
-from mpm import LAST
+from inverse.saving import in_scene, known_of
+from mpm import ALL, LAST
 from tests.refusals import refused, refused_by
 from tests.scenes import flow_of, room, scene_of
 from validation import forecast_scene
 from validation.forecast.__main__ import main
-from validation.forecast.predict import height_of, predicted
-from validation.forecast.solve import in_scene
+from validation.forecast.predict import height_of, numbers_of, predicted, recording_of, with_peaks
 from validation.run_store import RunStore
 
 SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), duration=0.1, frame_dt=0.05, floor_friction=0.4)
@@ -53,8 +53,13 @@ def posterior(folder: Path, names: Sequence[str] = ("friction_deg",), verdict: s
     return folder
 
 
-def by(flows: Slabs) -> RunStore:
-    return cast("RunStore", flows)
+def by(flows: Slabs, threshold: float | None = None) -> RunStore:
+    """A store that keeps nothing."""
+
+    def store(scenes: Sequence[Scene], *, record: object = LAST) -> list[Trajectory]:
+        return [with_peaks(flow, threshold) for flow in flows(scenes, record=record)]
+
+    return cast("RunStore", store)
 
 
 def test_an_interval_holds_further_flows_as_often_as_it_says() -> None:
@@ -95,8 +100,9 @@ def test_files_and_what_a_scene_has_not(tmp_path: Path) -> None:
     assert flows.runs == 14
     assert forecast.names == ("friction_deg",)
     said = json.loads((tmp_path / "out" / "forecast.json").read_text())
-    assert "baffles[0].x is no part of the forecast" in said["remarks"][0]
+    assert "baffles[0].x of the inversion is not used" in said["remarks"][0]
     assert "ambiguous" in said["remarks"][1]
+    assert "10 flows enclose a further one in 82 % of the cases" in said["remarks"]
     assert len(said["profile"]["x"]) == len(said["profile"]["upper"])
     assert (tmp_path / "out" / "forecast.png").exists()
     assert (tmp_path / "out" / "report.md").exists()
@@ -107,7 +113,7 @@ def test_maps_of_probability(tmp_path: Path) -> None:
     flows, names = Slabs(scatter=0.0), ["friction_deg"]
     scene = replace(room(Mass(lower=(0.0, 0.0, 0.3), size=(0.2, 0.1, 0.2))), floor_friction=0.4)
     samples = np.repeat([20.0, 40.0], 500)[:, None]
-    forecast = predicted(scene, names, samples, by(flows), draws=10, threshold=1.0e-4)
+    forecast = predicted(scene, names, samples, by(flows, 1.0e-4), draws=10, threshold=1.0e-4)
     thickness = forecast.covered["thickness"]
     assert thickness[(np.array([0.5, 0.7]) / 0.04).astype(int), 10] == pytest.approx(0.5)
     assert thickness[5, 10] == 0.0
@@ -122,6 +128,29 @@ def test_the_mean_height_of_a_thin_deposit_is_that_of_its_thickness() -> None:
     x, z = np.meshgrid(*(0.2 + 0.01 * (np.arange(40) + 0.5),) * 2, indexing="ij")
     positions = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
     assert height_of(scene, positions, np.full(x.size, 0.02 * 0.01**2)) == pytest.approx(0.01, rel=0.1)
+
+
+@pytest.mark.parametrize("frames", [20, 200])
+def test_the_largest_force_does_not_depend_on_the_duration(frames: int) -> None:
+    """A blow of 3 N s within a frame of 0.05 s, of a run of so many."""
+    scene = replace(SCENE, solids=(Solid(name="wall", lower=(0.8, 0.0), size=(0.1, 0.1)),), duration=0.05 * frames)
+    impulse = np.zeros((frames + 1, 1, 2), np.float32)
+    impulse[8:, 0, 0] = 3.0
+    run = flow_of(scene, np.full((frames + 1, 4, 2), 0.1), solid_impulse=impulse)
+    deposit = with_peaks(run)
+    assert recording_of(scene) == ALL
+    assert numbers_of(deposit)["force wall"] == pytest.approx(60.0)
+    assert len(deposit.positions) == len(deposit.time) == 1
+
+
+def test_the_angle_is_that_of_the_material_which_an_unknown_changes(tmp_path: Path) -> None:
+    """Not that of the scene where the mass has one of its own."""
+    result = posterior(tmp_path / "loop", ("masses[0].friction_deg",))
+    (result / "result.json").write_text(json.dumps({"angle": {"masses[0].friction_deg": "slope"}}))
+    own, slope = replace(SCENE.masses[0], material=SCENE.material), replace(SCENE.material, angle="slope")
+    refused(lambda: known_of(result, replace(SCENE, masses=(own,), material=slope)), said="masses[0].material.angle")
+    known_of(result, replace(SCENE, masses=(replace(own, material=slope),)))
+    known_of(result, replace(SCENE, material=slope))
 
 
 def test_the_solid_of_an_unknown_is_found_by_its_name_or_its_kind() -> None:
