@@ -39,8 +39,8 @@ class ModelSettings(Record):
     density: Positive = 1800.0
     """Density in the training data [kg/m^3]."""
     bed_friction: bool = True
-    """Whether the basal friction above a terrain is the terrain's own, along it. `flow2d` and `obstacle3d` were trained
-    with that of a level floor in its place."""
+    """Whether the basal friction above a terrain is the terrain's own, along it; else, of older models, a level
+    floor's."""
     rest_speed: NotNegative = 0.03
     """Speed [m/s] below which a displacement fades, as static friction; without it (0) deposits creep."""
     width: Count = 64

@@ -160,10 +160,15 @@ def test_what_can_stand_is_what_no_known_law_moves(deep: bool) -> None:
         assert stands(replace(scene, solids=(ground,), masses=masses)) is same
 
 
-def test_a_mass_that_cannot_stand_and_does_not_move_is_named() -> None:
+def test_a_mass_that_cannot_stand_spreads_or_is_named() -> None:
+    """A mound of sand on a smooth floor: the MPM's front is at 1.381 m, from 1.3 m."""
     sand, mass = Material(friction_deg=35.0), Mass(kind="polygon", vertices=((0.5, 0.0), (1.3, 0.0), (0.9, 0.2)))
+    scene = scene_of(mass, size=(2.0, 0.6), cell=0.02, material=sand, floor_friction=0.05, duration=0.5)
+    assert gns.simulate(scene).summary["front"] == pytest.approx(1.381, abs=0.05)
+    held = gns.load("flow2d")
+    held.settings = replace(held.settings, rest_speed=10.0)
     with pytest.warns(UserWarning, match="leaves a mass at rest that its bed is too smooth or too steep to hold"):
-        gns.simulate(scene_of(mass, size=(2.0, 0.6), cell=0.02, material=sand, floor_friction=0.05, duration=0.5))
+        gns.simulate(scene, model=held)
 
 
 @pytest.mark.parametrize("name", ["column-tall-42", "layers-10"])
@@ -222,7 +227,7 @@ def test_a_kept_step_costs_what_was_measured_and_changes_nothing(problem: tuple[
 
 # Mean x [m] after the steps above and its derivative with respect to tan(phi) [m]: other libraries round otherwise,
 # other weights or features give other numbers.
-STORED = [("flow2d", "column-tall-42", 0.1343682, -0.0267806), ("obstacle3d", "baffles-2", 0.5842266, -0.03759485)]
+STORED = [("flow2d", "column-tall-42", 0.1345151, -0.02683643), ("obstacle3d", "baffles-2", 0.5842266, -0.03759485)]
 
 
 def mean_x(simulator: Simulator, scene: str, change: torch.Tensor) -> torch.Tensor:
