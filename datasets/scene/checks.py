@@ -179,6 +179,8 @@ def check_water(scene: SceneLayout) -> None:
         keeps = scene.volume_correction is not False
         require(keeps, "volume_correction", "true or none beside saturated material", "false")
     require(water.level is None or water.table is None, "water.table", "none beside a level", "one")
+    level = water.pool is None or scene.slope_deg == 0.0
+    require(level, "water.pool", "none in a tilted box, in which standing water is not level", f"{water.pool} m")
     for name in ("origin", "spacing"):
         gridded = water.table is not None and scene.dimension == 3
         expected = "x and z of a table in 3D, and only of that"

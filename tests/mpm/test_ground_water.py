@@ -100,12 +100,121 @@ def test_water_at_rest_buoys_and_water_along_a_slope_drags() -> None:
     assert drag == pytest.approx(np.tile([0.5 * 0.8 * buoyancy[1], 0.8 * buoyancy[1]], (len(drag), 1)), rel=1e-6)
 
 
+CLAY = dataclasses.replace(WET, friction_deg=0.0, cohesion=0.25 * SOIL * GRAVITY, tension_cutoff=1.0e6)
+TALL, SHORT = Mass(lower=(0.0, 0.0), size=(1.0, 0.8)), Mass(lower=(1.0, 0.0), size=(1.0, 0.4))
+STEP = ((0.0, 0.0), (2.0, 0.0), (2.0, 0.4), (1.005, 0.4), (1.0, 0.8), (0.0, 0.8))
+
+
+@pytest.mark.parametrize(
+    ("masses", "water", "outer"),
+    [
+        ((TALL,), {}, 0.0),
+        ((TALL,), {"level": 0.8, "pool": 0.3}, 0.3**2),
+        ((TALL,), {"pool": 1.0}, 1.0**2 - 0.2**2),
+        # Two boxes, and a polygon, of which the box holds the lower end.
+        ((TALL, SHORT), {}, 0.4**2),
+        ((Mass(kind="polygon", vertices=STEP),), {}, 0.4**2),
+        ((Mass(kind="layer", thickness=0.8, outline=((0.0,), (0.95,))),), {}, 0.0),
+        ((Mass(lower=(0.0, 0.0, 0.0), size=(1.0, 0.8, 0.2)),), {}, 0.0),
+    ],
+)
+@pytest.mark.parametrize("per_axis", [1, 2])
+def test_water_presses_on_free_faces(
+    masses: tuple[Mass, ...], water: dict[str, Any], outer: float, per_axis: int
+) -> None:
+    """Its force on a body is that on its boundary, with the wall of the box on the left; outer: twice the integral of
+    depth over the right side [m^2]."""
+    width = (0.2,) if len(masses[0].lower) == 3 else ()
+    of = wet_scene(
+        *(dataclasses.replace(mass, k0="elastic") for mass in masses), water=Water(fixed=True, **water),
+        size=(2.0, 1.2, *width), cell=0.05, particles_per_axis=per_axis, jitter=0.0,
+    )  # fmt: skip
+    particles = initial_particles(of)
+    force = -particles.volume @ initial_water(of, particles)[1][:, 0]
+    inner = outer if outer > 0.8 else 0.8**2
+    assert force == pytest.approx(
+        0.5 * DENSITY * GRAVITY * (inner - outer) * (0.2 if width else 1.0), rel=2e-3, abs=1.0
+    )
+
+
+def test_water_does_not_press_where_a_solid_or_a_wall_is() -> None:
+    wall = Solid(kind="box", lower=(1.0, 0.0), size=(0.2, 1.0), friction=0.5)
+    body = dataclasses.replace(TALL, k0="elastic")
+    for changes in ({"size": (1.0, 1.2)}, {"size": (2.0, 1.2), "solids": (wall,)}):
+        of = wet_scene(body, water=Water(fixed=True), cell=0.05, **changes)
+        assert np.abs(initial_water(of, initial_particles(of))[1][:, 0]).max() < 1.0e-6
+    opened = wet_scene(body, water=Water(fixed=True), size=(1.0, 1.2), cell=0.05, jitter=0.0, open_sides=("x+",))
+    assert np.abs(initial_water(opened, initial_particles(opened))[1][:, 0]).max() > 1.0e3
+
+
+@pytest.mark.slow
+def test_water_does_not_change_the_factor_of_clay() -> None:
+    """Whose strength depends on no pressure, in a vertical cut."""
+    cut = wet_scene(Mass(lower=(0.0, 0.0), size=(2.0, 1.0), k0="elastic"), size=(3.6, 1.2), cell=0.05, material=CLAY)
+    cut = dataclasses.replace(cut, water=Water(level=1.0), floor_friction="rough")
+    dry = dataclasses.replace(cut, water=None, material=dataclasses.replace(CLAY, saturated=False))
+    assert safety_factor(cut).factor == pytest.approx(safety_factor(dry).factor, rel=0.04)
+
+
+SLOPE = Solid(kind="terrain", points=((0.0, 1.1), (2.0, 0.1)), friction=0.3)
+SHEET = Mass(kind="layer", thickness=0.1, k0="elastic")
+
+
+def on_slope(**water: Any) -> Scene:
+    return wet_scene(SHEET, solids=(SLOPE,), size=(2.0, 1.6), cell=0.02, water=Water(**water))
+
+
+def test_a_pool_buoys_a_sheet_and_its_grains_bear_what_is_left() -> None:
+    of = on_slope(fixed=True, pool=1.5)
+    water, slope = initial_water(of, initial_particles(of))
+    assert -slope == pytest.approx(np.tile([0.0, DENSITY * GRAVITY], (len(slope), 1)), abs=1e-6)
+    # Of the weight across the slope, rho g cos^2, less that of the water.
+    assert water[:, 2] == pytest.approx(1.0 - DENSITY / SOIL / 0.8)
+
+
+def test_a_sheet_slides_under_water_by_its_buoyant_weight() -> None:
+    bare = dataclasses.replace(SHEET, k0=None, outline=((0.1,), (1.9,)))
+    of = dataclasses.replace(on_slope(fixed=True, pool=1.5), masses=(bare,), duration=0.1, frame_dt=0.05, jitter=0.0)
+    flow = simulate(of)
+    middle = np.abs(flow.positions[0, :, 0] - 1.0) < 0.3
+    moved = np.linalg.norm((flow.positions[-1] - flow.positions[0])[middle], axis=1).mean()
+    exact = (1.0 - DENSITY / SOIL) * GRAVITY * (1.0 - 0.3 * 2.0) / math.sqrt(5.0)
+    assert 2.0 * moved / 0.1**2 == pytest.approx(exact, rel=0.03)
+
+
+def test_pressure_in_a_sheet_is_that_below_its_table() -> None:
+    """At rest below a level one, cos^2 of that below one along the slope; between them without a jump."""
+    positions, p, _ = pressures(on_slope(level=0.6))
+    top = 1.2 - 0.5 * positions[:, 0]
+    at_rest = DENSITY * GRAVITY * (np.minimum(top, 0.6) - positions[:, 1])
+    below, above = (top > 0.6) & (at_rest > 0.0), top < 0.5
+    assert p[below] == pytest.approx(at_rest[below])
+    assert p[above] == pytest.approx(0.8 * at_rest[above])
+    along = ((-0.2, 1.25), (2.2, 0.05))
+    positions, p, _ = pressures(on_slope(table=along))
+    depth = 1.15 - 0.5 * positions[:, 0] - positions[:, 1]
+    assert p == pytest.approx(0.8 * DENSITY * GRAVITY * np.maximum(depth, 0.0), abs=1.0e-6)
+
+
+@pytest.mark.parametrize("table", [{"level": 0.1}, {"table": ((0.0, 0.1), (1.0, 0.1))}])
+def test_the_table_is_no_lower_than_a_pool_that_stands_on_it(table: dict[str, Any]) -> None:
+    hill = Mass(kind="polygon", vertices=HILL, k0="elastic")
+    positions, p, wet = pressures(wet_scene(hill, water=Water(pool=0.3, fixed=True, **table)))
+    covered = positions[:, 0] > 0.45
+    assert p[covered] == pytest.approx(DENSITY * GRAVITY * (0.3 - positions[covered, 1]))
+    assert wet[covered].all()
+    inner = positions[:, 0] < 0.4
+    assert p[inner] == pytest.approx(DENSITY * GRAVITY * np.maximum(0.1 - positions[inner, 1], 0.0))
+
+
 def test_tables_that_are_none_are_refused() -> None:
     assert refused(wet_scene, water=Water(level=0.1, table=((0.0, 0.1), (1.0, 0.2)))).key == "water.table"
     assert refused(wet_scene, water=Water(table=((1.0, 0.1), (0.0, 0.2)))).key == "water.table"
     assert refused(wet_scene, water=Water(table=((0.0, 0.1),))).key == "water.table"
     assert refused(wet_scene, water=Water(origin=(0.0, 0.0))).key == "water.origin"
     assert refused(simulate, wet_scene(water=Water(pool=0.1))).key == "water.pool"
+    said = "water.pool: expected none in a tilted box, in which standing water is not level"
+    refused(wet_scene, water=Water(pool=0.1, fixed=True), slope_deg=10.0, said=said)
 
 
 def with_water(slope: KnownSlope, cells: int, *, ratio: float | None = None, **water: Any) -> Scene:
