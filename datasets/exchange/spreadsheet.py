@@ -25,7 +25,8 @@ UNITS = {
     "time": {"s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0},
     "impulse": {"N s": 1.0, "Ns": 1.0, "kN s": 1000.0, "kNs": 1000.0, "N s/m": 1.0, "kN s/m": 1000.0},
     "discharge": {f"m{power}/s": 1.0 for power in ("2", "^2", "²", "3", "^3", "³")} | {"l/s": 0.001},
-    "pressure": {"Pa": 1.0, "kPa": 1000.0, "MPa": 1.0e6},
+    "pressure": {"Pa": 1.0, "hPa": 100.0, "kPa": 1000.0, "MPa": 1.0e6, "bar": 1.0e5}
+    | {f"kN/m{power}": 1000.0 for power in ("2", "^2", "²")},
     "speed": {"m/s": 1.0, "cm/s": 0.01, "km/h": 1.0 / 3.6},
     "friction": {"-": 1.0, "1": 1.0},
 }
@@ -75,7 +76,9 @@ def read_columns(
         require(len(set(known)) == len(known), "", "each column once", ", ".join(known))
         places = [names.index(name) for name in known]
         for place in places:
-            require(factors[place] is not None, "", f"a unit of `{names[place]}` such as [m] or [s]", header[place])
+            known_units = ", ".join(UNITS[quantity_of(names[place])])
+            expected = f"a unit of `{names[place]}`, one of {known_units}"
+            require(factors[place] is not None, "", expected, header[place])
         read = [numbers(number, row, len(header), places, separator, blanks) for number, row in numbered[1:]]
         require(len(read) > 0, "", f"rows of {len(known)} numbers", "none")
     said = [] if separator == "," else [f"{SEPARATORS.get(separator, repr(separator))} between columns"]
@@ -96,12 +99,24 @@ def described(header: Sequence[str], metres: float) -> tuple[list[str], list[flo
     for name, (_, found) in zip(spelled, parts, strict=True):
         unit = "" if found is None else (found["square"] or found["round"] or "").strip()
         name = name if name.lower() in spelled else name.lower()
-        quantity = name if name in UNITS else "length"
-        factor = UNITS[quantity].get(unit) if unit else 1.0
+        quantity = quantity_of(name)
+        factor = factor_of(quantity, unit) if unit else 1.0
         names.append(name)
         units.append(unit)
         factors.append(factor / metres if unit and factor is not None and quantity == "length" else factor)
     return names, factors, units
+
+
+def quantity_of(name: str) -> str:
+    """The quantity of `UNITS` that a column holds, lengths where its name says nothing else."""
+    return name if name in UNITS else "length"
+
+
+def factor_of(quantity: str, unit: str) -> float | None:
+    """What a unit is in SI; None where there is none. Case is no matter (KPA), but a small m is not mega (mPa)."""
+    same = [name for name in UNITS[quantity] if name.lower() == unit.lower() and (name[0], unit[0]) != ("M", "m")]
+    exact = [name for name in same if name == unit] or same
+    return UNITS[quantity][exact[0]] if len(exact) == 1 else None
 
 
 def numbers(

@@ -13,7 +13,7 @@ from datasets.geometry.shapes import check_grid, check_rows, check_shape, check_
 from datasets.scene.grid_field import FRICTION, THICKNESS, VELOCITIES, Field
 from datasets.scene.material import ANGLES, MOHR_COULOMB
 from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, SceneLayout, Water, keyed
-from datasets.scene.water import saturated
+from datasets.scene.water import consolidation, saturated
 from datasets.schema import FARTHEST
 
 MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28  # of the box: what 32 bits count
@@ -27,8 +27,8 @@ LOST = 1.0e-6  # share of a layer that rounding may put beyond a side of the box
 SMALL_ANGLE = 3.0  # angle of friction [deg] below which no sand is: one in radians is
 SLACK = 1.0e-3  # relative, of a limit that a user wrote in decimals
 LIGHT, WATER = 30.0, 1000.0  # density [kg/m^3] below which no soil and no snow is; that of water
-FASTEST, YEAR = 10.0, 365.25 * 86400.0
-"""Coefficient of consolidation [m^2/s] above which no soil's is; seconds of a year."""
+FASTEST, DAY, YEAR = 10.0, 86400.0, 365.25 * 86400.0
+"""Coefficient of consolidation [m^2/s] above which no soil's is; seconds of a day and of a year."""
 WEAKEST = 5.0e-4  # cohesion over the pressure rho g h under a body below which it looks like one in kPa
 SOFTEST = 10.0
 """Young's modulus over the pressure rho g h under a body, below which it sinks by a twentieth of its height or more."""
@@ -192,6 +192,11 @@ def check_water(scene: SceneLayout) -> None:
         rises = all(second[0] > first[0] for first, second in itertools.pairwise(water.table))
         require(rises, "water.table", "points from small to large x", "others")
     for key, mass in keyed(scene, "masses").items():
+        above = -math.inf if water.pool is None else water.pool - mass.lower[1]
+        wetted = scene.material_of(mass).saturated or above <= TOLERANCE
+        require(
+            wetted, "water.pool", f"none above the foot of {key}, which is not saturated", f"{above:.3g} m above it"
+        )
         ratio = mass.initial_pore_pressure_ratio
         holds = ratio is None or scene.material_of(mass).saturated
         require(holds, f"{key}.initial_pore_pressure_ratio", "none of a material that is not saturated", ratio)
@@ -298,6 +303,26 @@ def check_thickness(scene: SceneLayout, field: Field, key: str) -> None:
         require(top <= highest, f"{key}.values", f"a layer below the top of the box at {highest:g} m", f"{top:g}")
 
 
+def unlikely_water(scene: SceneLayout) -> list[str]:
+    """A line for each elevation of water that looks like one in cm, or that leaves all that is saturated dry."""
+    water, top = scene.water or Water(), scene.domain.size[1]
+    table = None if water.table is None else np.array(water.table, np.float64)
+    if table is not None and scene.dimension == 2:
+        table = table[:, 1]
+    feet = [mass.lower[1] for mass in scene.masses if scene.material_of(mass).saturated]
+    lines = []
+    for name, elevations in {"level": water.level, "table": table, "pool": water.pool}.items():
+        if elevations is None:
+            continue
+        above, below = float(np.min(elevations)) - top, min(feet) - float(np.max(elevations))
+        if above > 0.0:
+            full = "all the ground is below it" if name == "pool" else "all that is saturated is full"
+            lines.append(f"water.{name} lies {above:.3g} m above the top of the box: {full}")
+        elif below > TOLERANCE and name != "pool" and (water.pool is None or water.pool <= min(feet)):
+            lines.append(f"water.{name} lies {below:.3g} m below all that is saturated, which begins without pressure")
+    return lines
+
+
 def warn_if_unlikely(scene: SceneLayout) -> None:
     """One UserWarning for each number that looks like another unit's (radians, MPa, mm) and what the box cuts off."""
     from datasets.geometry.bodies import Plan, height
@@ -312,9 +337,8 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
         if mass.kind == "layer" and thick > TALL * long:
             said = f"{thick:g} m is {thick / long:.2g} times the length of the layer"
             warnings.warn(f"{key}.thickness: {said}; in cm it would be {thick / 100:g} m", stacklevel=3)
-    if scene.water is not None and (level := scene.water.level or 0.0) > scene.domain.size[1]:
-        above = f"{level - scene.domain.size[1]:.3g} m above the top of the box"
-        warnings.warn(f"water.level lies {above}: all that is saturated is full", stacklevel=3)
+    for line in unlikely_water(scene):
+        warnings.warn(line, stacklevel=3)
     terrains = [(key, solid) for key, solid in keyed(scene, "solids").items() if solid.kind == "terrain"]
     for key, solid in terrains if len(terrains) == 1 else ():  # of several the highest is the ground
         lowest = lowest_ground(scene.domain, solid, key)
@@ -348,9 +372,13 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
             lines.append(f"{light}; in {unit} it would be {factor * material.density:.4g} kg/m^3")
         elif material.saturated and material.density <= WATER:
             lines.append(f"density = {material.density:g} kg/m^3, of grains and water, is no more than water's")
-        if (material.consolidation or 0.0) > FASTEST:
-            years = f"in m^2/year it would be {material.consolidation / YEAR:.2g} m^2/s"
-            lines.append(f"consolidation = {material.consolidation:g} m^2/s drains faster than any soil; {years}")
+        if material.saturated and consolidation(material, scene.gravity) > FASTEST:
+            name, unit, other, times = "consolidation", "m^2/s", "m^2/year", YEAR
+            if material.permeability is not None:
+                name, unit, other, times = "permeability", "m/s", "m/day", DAY
+            rate = getattr(material, name)
+            said = f"{name} = {rate:g} {unit} drains faster than any soil"
+            lines.append(f"{said}; in {other} it would be {rate / times:.2g} {unit}")
         if (grain := material.grain_diameter or 0.0) > scene.domain.cell:
             lines.append(f"grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m")
         heights = [height(scene, mass) for mass in scene.masses if scene.material_of(mass) == material]

@@ -33,6 +33,8 @@ WITHOUT = dict.fromkeys(("permeability", "consolidation"), "its water does not f
 WITHOUT |= {"softening_length": "it never falls to a residual strength"}
 WITHOUT |= {"friction_limit_deg": "its friction does not grow with the rate"}
 """What a material does without a constant that another one requires."""
+INSTEAD = {"permeability": "consolidation", "consolidation": "permeability"}
+"""Which constant a material may state in place of another one."""
 OWNERS = {"thickness": "a mass of kind layer", "discharge_factor": "an inflow"}
 OWNERS |= dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
 """What has an attribute; other attributes are those of surfaces."""
@@ -191,7 +193,10 @@ class Constant(Kind):
         if self.index is None and all(mass.material is not None for mass in scene.masses):
             raise InputError("expected a mass of the scene's shared material, every mass has its own")
         if self.requires and getattr(self.material(scene), self.requires) is None:
-            raise InputError(f"expected a material with a {self.requires}, {WITHOUT[self.requires]}")
+            other = INSTEAD.get(self.requires)
+            stated = other is not None and getattr(self.material(scene), other) is not None
+            said = f"it states a {other}: make that the unknown" if stated else WITHOUT[self.requires]
+            raise InputError(f"expected a material with a {self.requires}, {said}")
 
     def material(self, scene: Scene | Draft) -> Material:
         override = None if self.index is None else scene.masses[self.index].material

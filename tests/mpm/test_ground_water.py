@@ -217,6 +217,14 @@ def test_tables_that_are_none_are_refused() -> None:
     refused(wet_scene, water=Water(pool=0.1, fixed=True), slope_deg=10.0, said=said)
 
 
+def test_a_pool_that_would_stand_on_dry_material_is_refused() -> None:
+    foundation = dataclasses.replace(BED, size=(1.0, 0.2))
+    dam = Mass(lower=(0.2, 0.2), size=(0.4, 0.2), material=dataclasses.replace(WET, saturated=False))
+    wet_scene(foundation, dam, water=Water(pool=0.2, fixed=True))
+    said = "water.pool: expected none above the foot of masses[1], which is not saturated, got 0.15 m above it"
+    refused(wet_scene, foundation, dam, water=Water(pool=0.35, fixed=True), said=said)
+
+
 def with_water(slope: KnownSlope, cells: int, *, ratio: float | None = None, **water: Any) -> Scene:
     dry = slope.scene(cells)
     body = dataclasses.replace(dry.masses[0], initial_pore_pressure_ratio=ratio)

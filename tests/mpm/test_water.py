@@ -440,4 +440,8 @@ def test_an_inversion_sets_the_water() -> None:
     ratio = dataclasses.replace(KINDS["masses[].initial_pore_pressure_ratio"], index=0)
     assert ratio.read(scene) == 0.5
     KINDS["consolidation"].check(scene)
-    refused(KINDS["permeability"].check, scene, said="its water does not flow")
+    refused(KINDS["permeability"].check, scene, said="it states a consolidation: make that the unknown")
+    soil = dataclasses.replace(WET, permeability=1.0e-4, young=2.0e6)
+    measured = dataclasses.replace(scene, material=soil)
+    refused(KINDS["consolidation"].check, measured, said="it states a permeability: make that the unknown")
+    refused(KINDS["permeability"].check, layer(0.5), said="its water does not flow")

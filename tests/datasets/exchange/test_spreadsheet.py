@@ -57,6 +57,24 @@ def test_units_in_the_header(tmp_path: Path) -> None:
     np.testing.assert_allclose(table["height"] * 0.01, [0.2, 0.3])
 
 
+@pytest.mark.filterwarnings("ignore:.*read with")
+@pytest.mark.parametrize(
+    ("unit", "pascal"), [("Pa", 1.0), ("hPa", 100.0), ("KPA", 1e3), ("kN/m2", 1e3), ("kN/m²", 1e3), ("bar", 1e5)]
+)
+def test_units_of_pressure(tmp_path: Path, unit: str, pascal: float) -> None:
+    path = tmp_path / "gauge.csv"
+    path.write_text(f"time,Pressure [{unit}]\n0.1,2.9\n", encoding="utf-8")
+    assert read_columns(path, ("time", "pressure"))["pressure"] == pytest.approx([2.9 * pascal])
+
+
+def test_what_is_no_unit_of_a_pressure_is_refused_with_those_that_are(tmp_path: Path) -> None:
+    path = tmp_path / "gauge.csv"
+    for unit in ("m", "mPa"):
+        path.write_text(f"time,pressure [{unit}]\n0.1,2.9\n")
+        said = f"a unit of `pressure`, one of Pa, hPa, kPa, MPa, bar, kN/m2, kN/m^2, kN/m², got pressure [{unit}]"
+        refused(read_columns, path, ("time", "pressure"), said=said)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -68,7 +86,7 @@ def test_units_in_the_header(tmp_path: Path) -> None:
         ("x,height\n1,5,2\n", "line 2"),
         ("x,height\n1,nan\n", "finite"),
         ("x [s],height\n1,2\n", "x [s]"),
-        ("x [furlong],height\n1,2\n", "x [furlong]"),
+        ("x [furlong],height\n1,2\n", "a unit of `x`, one of m, cm, mm, km, ft, in, got x [furlong]"),
         ("time [cm],x,height\n1,2,3\n", "time"),
         ("x,x,height\n1,2,3\n", "once"),
         ('x,"height\n1,2\n', "readable"),

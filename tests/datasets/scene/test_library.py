@@ -113,6 +113,16 @@ SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=
         ({"saturated": True, "water": Water(level=90.0)}, r"water\.level lies 89\.5 m above the top of the box"),
         ({"cohesion": 1.5}, r"cohesion = 1\.5 Pa is next to nothing beside rho g h .* in kPa it would be 1500 Pa"),
         ({"consolidation": 30.0, "saturated": True}, r"consolidation = 30 .* in m\^2/year it would be 9\.5e-07 m\^2/s"),
+        (
+            {"permeability": 8.64, "young": 2.0e6, "saturated": True},
+            r"permeability = 8\.64 m/s drains faster .* in m/day it would be 0\.0001 m/s",
+        ),
+        ({"saturated": True, "water": Water(pool=30.0, fixed=True)}, r"water\.pool lies 29\.5 m above .* the ground"),
+        (
+            {"saturated": True, "water": Water(table=((0.0, 30.0), (1.0, 28.0)))},
+            r"water\.table lies 27\.5 m above the top of the box: all that is saturated is full",
+        ),
+        ({"saturated": True, "water": Water(level=-3.0)}, r"water\.level lies 3 m below all that is saturated"),
         ({"young": 200.0}, r"material\.young = 200 Pa is less than 10 rho g h = 7\.06e\+04 Pa"),
         ({"friction_limit_deg": 40.0, "grain_diameter": 0.7}, r"diameter = 0\.7 m .* in mm it would be 0\.0007 m"),
     ],
@@ -121,6 +131,13 @@ def test_numbers_of_another_unit_are_warned_of(changes: dict[str, Any], message:
     sand = dataclasses.replace(SAND, **{key: value for key, value in changes.items() if key != "water"})
     with pytest.warns(UserWarning, match=message):
         warn_if_unlikely(dataclasses.replace(SCENE, material=sand, water=changes.get("water")))
+
+
+def test_usual_water_is_not_warned_of() -> None:
+    clay = dataclasses.replace(SAND, saturated=True, permeability=1.0e-4, young=2.0e6)
+    tables = ({"level": 0.0}, {"table": ((0.0, 0.9), (1.0, 0.1))}, {"level": -1.0, "pool": 0.2}, {"pool": 0.5})
+    for table in tables:
+        warn_if_unlikely(dataclasses.replace(SCENE, material=clay, water=Water(fixed=True, **table)))
 
 
 @pytest.mark.parametrize(("end", "falls"), [(0.0, 0.0), (-0.2, 0.2)])
