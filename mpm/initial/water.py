@@ -14,7 +14,7 @@ grains bear, by `mpm.initial.stress`.
 
 **A slope at rest** (`Water.fixed`) needs no more of water than the force per volume -grad p: buoyancy and seepage, and
 the effective stress of its surface is 0 also beneath a pool, which adds rho_w g (pool - top) to p where it stands. The
-table is not below a pool there. Across a steep free face p falls to that of the pool, or 0. This fall is spread over
+table is no lower than a pool there. Across a steep free face p falls to that of the pool, or 0. This fall is spread on
 the cell inside the face, where p is less by J (1 - d / h), with the fall J, the distance d and the cell h: the force of
 water stays a gradient, which changes nothing in material whose strength depends on no pressure.
 """
@@ -143,8 +143,8 @@ def weight_in_sheet(scene: Scene, mass: Mass, plan: Floats, across: Floats) -> F
 
 
 def table(scene: Scene, mass: Mass, plan: Floats) -> Floats:
-    """Elevation [m] of the water table over places in plan [m], [N, D - 1]: that of a pool at least where it stands on
-    the ground; inf where water stands to the top. [N]."""
+    """Elevation [m] of the water table over places in plan [m], [N, D - 1]: at least that of a pool, of a table that is
+    not level where the pool stands on the ground; inf where water stands to the top. [N]."""
     water = scene.water or Water()
     if water.table is None:
         pool = water.pool if mass.initial_pore_pressure_ratio is None else None
@@ -158,7 +158,7 @@ def table(scene: Scene, mass: Mass, plan: Floats) -> Floats:
         elevations = interpolated([first + step * np.arange(count) for first, step, count in steps], rows, plan)
     if water.pool is None:
         return elevations
-    covered = column_top(scene, mass, plan) < water.pool
+    covered = (water.table is None) | (column_top(scene, mass, plan) <= water.pool + TOLERANCE)
     return np.where(covered, np.maximum(elevations, water.pool), elevations)
 
 

@@ -203,8 +203,8 @@ def test_the_table_is_no_lower_than_a_pool_that_stands_on_it(table: dict[str, An
     covered = positions[:, 0] > 0.45
     assert p[covered] == pytest.approx(DENSITY * GRAVITY * (0.3 - positions[covered, 1]))
     assert wet[covered].all()
-    inner = positions[:, 0] < 0.4
-    assert p[inner] == pytest.approx(DENSITY * GRAVITY * np.maximum(0.1 - positions[inner, 1], 0.0))
+    inner, inland = positions[:, 0] < 0.4, 0.3 if "level" in table else 0.1
+    assert p[inner] == pytest.approx(DENSITY * GRAVITY * np.maximum(inland - positions[inner, 1], 0.0))
 
 
 def test_tables_that_are_none_are_refused() -> None:
