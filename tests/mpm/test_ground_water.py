@@ -1,6 +1,7 @@
 """Where the water stands: tables of every form, the pressure below them, and slopes at rest with water."""
 
 import dataclasses
+import itertools
 import math
 from pathlib import Path
 from typing import Any
@@ -102,6 +103,11 @@ def test_water_at_rest_buoys_and_water_along_a_slope_drags() -> None:
 
 CLAY = dataclasses.replace(WET, friction_deg=0.0, cohesion=0.25 * SOIL * GRAVITY, tension_cutoff=1.0e6)
 TALL, SHORT = Mass(lower=(0.0, 0.0), size=(1.0, 0.8)), Mass(lower=(1.0, 0.0), size=(1.0, 0.4))
+CORNERS = tuple(itertools.product((0.0, 1.0), (0.0, 0.8), (0.0, 0.2)))
+TRIANGLES = (
+    (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
+    (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
+)  # fmt: skip
 STEP = ((0.0, 0.0), (2.0, 0.0), (2.0, 0.4), (1.005, 0.4), (1.0, 0.8), (0.0, 0.8))
 
 
@@ -116,6 +122,7 @@ STEP = ((0.0, 0.0), (2.0, 0.0), (2.0, 0.4), (1.005, 0.4), (1.0, 0.8), (0.0, 0.8)
         ((Mass(kind="polygon", vertices=STEP),), {}, 0.4**2),
         ((Mass(kind="layer", thickness=0.8, outline=((0.0,), (0.95,))),), {}, 0.0),
         ((Mass(lower=(0.0, 0.0, 0.0), size=(1.0, 0.8, 0.2)),), {}, 0.0),
+        ((Mass(kind="mesh", vertices=CORNERS, triangles=TRIANGLES),), {"level": 0.8, "pool": 0.3}, 0.3**2),
     ],
 )
 @pytest.mark.parametrize("per_axis", [1, 2])
@@ -124,7 +131,7 @@ def test_water_presses_on_free_faces(
 ) -> None:
     """Its force on a body is that on its boundary, with the wall of the box on the left; outer: twice the integral of
     depth over the right side [m^2]."""
-    width = (0.2,) if len(masses[0].lower) == 3 else ()
+    width = (0.2,) if len((masses[0].vertices or (masses[0].lower,))[0]) == 3 else ()
     of = wet_scene(
         *(dataclasses.replace(mass, k0="elastic") for mass in masses), water=Water(fixed=True, **water),
         size=(2.0, 1.2, *width), cell=0.05, particles_per_axis=per_axis, jitter=0.0,
