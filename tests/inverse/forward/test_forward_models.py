@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import Baffle, Mass
+from datasets import Baffle, Mass, Material
 from gns.simulator import unroll
 from inverse import Parameter, Problem, TargetSettings, read_problem
 from inverse.forward.adjoint import AdjointForward, AdjointRun
@@ -159,3 +159,26 @@ def test_the_impulse_on_a_baffle() -> None:
         change = np.where(np.arange(2) == index, step, 0.0)
         ahead, behind = forward.observe([VALUES[:2] + change, VALUES[:2] - change])
         np.testing.assert_allclose(rows[:, index], (ahead - behind) / (2.0 * step), rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_adjoint_of_a_damped_flow_is_near_its_slope() -> None:
+    """Damping turns on nodes that jump to and fro, and the adjoint spreads its step over the jump."""
+    column = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)), size=(1.2, 0.4), floor_friction=0.3)
+    scene = dataclasses.replace(column, material=Material(friction_deg=30.0), damping=0.1, duration=0.04, frame_dt=0.01)
+    run = AdjointRun(scene, names=("friction_deg", "young"), precision="f64", threads=1)
+
+    def objective(values: torch.Tensor) -> torch.Tensor:
+        positions, _ = run(values)
+        return positions[-1, :, 0].mean() + 0.5 * positions[-1, :, 1].mean()
+
+    values = torch.tensor([30.0, scene.material.young], dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(objective(values), values)
+    ratios = []
+    for index, step in enumerate((3.0e-4, 2.0)):
+        change = torch.zeros_like(values)
+        change[index] = step
+        ahead, behind = (objective(values.detach() + side * change) for side in (1.0, -1.0))
+        ratios.append(float(slope[index] * 2.0 * step / (ahead - behind)))
+    assert ratios[0] == pytest.approx(1.0, abs=0.1)
+    assert 0.5 < ratios[1] < 1.0
