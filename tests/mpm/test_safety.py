@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from datasets import Mass, Material, write_scene
+from datasets import Mass, Material, Solid, write_scene
 from datasets.scene.grid_field import Field
 from mpm import safety_factor
 from mpm.run import command
@@ -36,6 +36,21 @@ def test_the_command_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureF
     assert f"factor of safety {result['factor']:.3f}: stands at" in capsys.readouterr().out
     wrong = {"out": tmp_path, "safety": True, "vtk": True}
     refused(command, str(tmp_path / "slope.toml"), **wrong, said="--vtk: expected none beside --safety")
+
+
+@pytest.mark.slow
+def test_a_layer_that_inclined_terrain_does_not_hold_is_warned_of() -> None:
+    """A layer 3 m thick on 1 to 2: tan(phi) / tan(beta) + c / (rho g t sin(beta) cos(beta)) = 1.82 by its material."""
+    soil = Material(friction_deg=35.0, cohesion=1.0e4, dilation_deg=35.0, density=2000.0, tension_cutoff=1.0e6)
+    layer = Mass(kind="polygon", vertices=((8.0, 22.0), (40.0, 6.0), (37.0, 10.5), (11.0, 23.5)))
+    bed = Solid(kind="terrain", points=((0.0, 26.0), (50.0, 1.0)), friction=2.0)
+    scene = scene_of(layer, size=(50.0, 34.0), cell=0.5, material=soil, solids=(bed,))
+    with pytest.warns(UserWarning, match="at half of this factor, too, which is far too low: model inclined ground as"):
+        safety_factor(scene, tolerance=0.1)
+    rock = dataclasses.replace(soil, cohesion=1.0e6)
+    ground = Mass(kind="polygon", vertices=((0.0, 0.0), (50.0, 0.0), (50.0, 1.0), (0.0, 26.0)), material=rock)
+    held = dataclasses.replace(scene, solids=(), masses=(ground, layer), floor_friction="rough")
+    assert safety_factor(held, tolerance=0.02).factor == pytest.approx(1.82, rel=0.08)
 
 
 def test_all_strength_is_reduced_and_nothing_else() -> None:
