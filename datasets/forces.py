@@ -58,6 +58,11 @@ class Forces:
         middle = 0.5 * (self.edges[last] + self.edges[last + 1])
         return list(zip(magnitude.max(axis=0).tolist(), middle.tolist(), strict=True))
 
+    @property
+    def largest(self) -> dict[str, float]:
+        """The largest force by the name of a solid [N or N/m]."""
+        return {name: force for name, (force, _) in zip(self.names, self.peaks, strict=True)}
+
 
 def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
     """The force on every solid whose impulse was recorded, floor and walls of the box included, averaged over `window`

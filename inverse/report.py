@@ -14,7 +14,7 @@ from inverse.answer import Answer, Combination, Purpose, Verdict, peak_memory_mi
 from inverse.fields.posterior import IDENTIFIED, FieldPosterior
 from inverse.noise import CONFIDENCE
 from inverse.observations.target import ALL_DATA
-from inverse.parameters import Parameter
+from inverse.parameters import Parameter, changed_material
 from inverse.residuals import outlying, residuals
 from inverse.result import Result
 
@@ -136,8 +136,8 @@ def angles(result: Result) -> str:
         return ""
     scene, parts = result.scene, []
     for number in result.problem.numbers:
-        if number.name.rsplit(".", 1)[-1] == "friction_deg":
-            material = scene.material if number.mass is None else scene.material_of(scene.masses[number.mass])
+        if number.quantity == "friction_deg" and (changed := changed_material(scene, number.name)):
+            material = changed[1]
             both = f"φ = {material.phi_deg:.2f} deg (triaxial), {material.slope_deg:.2f} deg on a slope"
             parts.append(f"`{number.name}` means {both}")
     return sentence(parts)

@@ -39,12 +39,8 @@ def start(
         return
     # Imported here: who plans a run, or asks for help, needs no compiler.
     import taichi as ti
-    from taichi.lang import kernel_impl
-    from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
-    ASTTransformerContext.get_pos_info = place_in_source
-    # Taichi looks for the source of a function at every call of it.
-    kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)
+    trace_faster()
     cached = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or ti.lang.impl.default_cfg().offline_cache_file_path
     drop_stale_lock(Path(cached) / "ticache.lock")
     # Taichi greets on standard output, where commands print what they found.
@@ -70,6 +66,17 @@ def start(
     if arch != "cpu" and ti.cfg.arch != getattr(ti, ARCHES[arch]):
         _running = None
         raise InputError(f"expected a GPU that Taichi can use with {arch}, found none", key="--arch")
+
+
+@cache
+def trace_faster() -> None:
+    """Spare Taichi what it does for every expression and every call of a function, once in a process."""
+    from taichi.lang import kernel_impl
+    from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
+
+    ASTTransformerContext.get_pos_info = place_in_source
+    # Looked for at every call.
+    kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)
 
 
 def place_in_source(context: Any, node: Any) -> str:

@@ -25,8 +25,8 @@ pore pressure at the start (`mpm.initial.water`) and no other: the long term, dr
 The error over cells across the height is on the page of stability (`python -m validation.bench stability`). A crest
 shorter than 1.5 H behind the edge takes some of the factor away, for the wall of the box is smooth; so does terrain,
 whose contact holds single particles worse than a floor: a layer on inclined ground creeps on it, which is warned of.
-Four particles a cell would hold there, but overestimate other slopes by a tenth. Without dilation the limit of a
-frictional material is not unique: it lies between that of psi = phi and that of tan(phi) = sin(phi) (Davis 1968).
+Four particles a cell would hold it, and lock (above). Without dilation the limit of a frictional material is not
+unique: it lies between that of psi = phi and that of tan(phi) = sin(phi) (Davis 1968).
 """
 
 import dataclasses

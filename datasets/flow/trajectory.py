@@ -3,7 +3,7 @@
 import json
 import webbrowser
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -96,6 +96,12 @@ class Trajectory:
         """Which particles are part of the flow at a time [s], shape [N]."""
         count = self.positions.shape[1]
         return np.full(count, True) if self.entry_time is None else np.asarray(self.entry_time <= time)
+
+    def ending(self, summary: dict[str, Any]) -> "Trajectory":
+        """The last frame alone, with more in the summary; of arrays over time those that a run without fields has."""
+        over_time = ("positions", "time", "solid_impulse")
+        last = {name: values[-1:] for name in over_time if (values := getattr(self, name)) is not None}
+        return replace(self, **last, summary=self.summary | summary)
 
     @property
     def frame_dt(self) -> float:

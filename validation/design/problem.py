@@ -65,11 +65,9 @@ class Limit(Record):
         """The deposit of a run, with the force in its summary where that is limited."""
         if not self.force:
             return flow
-        forces = forces_of(flow, window=self.window)
-        peaks = dict(zip(forces.names, (value for value, _ in forces.peaks), strict=True))
-        largest = max(peaks[name] for name in ([self.solid] if self.solid else solid_names(flow.scene)))
-        last: dict[str, Any] = {name: getattr(flow, name)[-1:] for name in ("positions", "time", "solid_impulse")}
-        return replace(flow, **last, summary=flow.summary | {self.quantity: largest})
+        largest = forces_of(flow, window=self.window).largest
+        solids = [self.solid] if self.solid else solid_names(flow.scene)
+        return flow.ending({self.quantity: max(largest[name] for name in solids)})
 
     def scatter(self, scene: Scene) -> float:
         """Expected standard deviation from flow to flow before repeated runs show it."""

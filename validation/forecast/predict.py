@@ -167,17 +167,13 @@ def with_peaks(flow: Trajectory, threshold: float | None = None) -> Trajectory:
     """
     peaks = dict[str, Any]()
     if names := solid_names(flow.scene):
-        forces = forces_of(flow)
-        largest = dict(zip(forces.names, (value for value, _ in forces.peaks), strict=True))
+        largest = forces_of(flow).largest
         peaks["force"] = {name: largest[name] for name in names}
     if flow.scene.dimension == 3:
         maps = maps_of(flow, flow.scene.domain.cell, threshold=threshold)
         velocity = np.zeros_like(maps.depth) if maps.velocity is None else maps.velocity
         peaks |= {"depth": maps.depth.tolist(), "velocity": velocity.tolist()}
-    if not peaks:
-        return flow
-    last: dict[str, Any] = {name: getattr(flow, name)[-1:] for name in ("positions", "time")}
-    return replace(flow, **last, solid_impulse=None, summary=flow.summary | {PEAKS: peaks})
+    return flow.ending({PEAKS: peaks}) if peaks else flow
 
 
 def at(scene: Scene, names: Sequence[str], values: Floats, seed: int) -> Scene:

@@ -5,7 +5,8 @@ import math
 import signal
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -236,3 +237,13 @@ def test_a_run_of_another_model_or_a_broken_file_is_not_resumed(
         (tmp_path / LAST).write_bytes(broken)
         assert run(dataset, tmp_path, "--updates", "2", "--resume") == 2
         assert "last.pt: expected the last.pt of a run" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_validation_flows_are_of_every_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kinds alternate in a dataset, and every fifth flow would be of one of them."""
+    flows = [SimpleNamespace(positions=range(99), number=number) for number in range(100)]
+    monkeypatch.setattr(loop, "flows_of", lambda *_, **__: flows)
+    _, chosen = loop.load([Path("data")], ModelSettings(), TrainingSettings(validate_flows=40), progress=False)
+    numbers = [flow.number for flow in cast("list[SimpleNamespace]", chosen)]
+    assert len(set(numbers)) == 40
+    assert {number % 5 for number in numbers} == set(range(5))

@@ -50,3 +50,13 @@ def test_a_flow_that_is_puffed_up_or_a_layer_higher_is_seen() -> None:
     lifted = points + torch.tensor([0.0, 0.5], dtype=torch.float64)
     alone = replace(around, size=around.size + 1.0)
     assert density_loss(lifted, points, alone, cell=CELL).item() == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_particle_that_was_led_out_of_the_box_counts_at_its_edge(dimension: int) -> None:
+    points, around = scattered(dimension)
+    out, edge = points.clone(), points.clone()
+    out[0, 0], edge[0, 0] = -3.0, 0.0
+    out[1], edge[1] = 100.0, around.size[0]
+    losses = [density_loss(moved, points, around, cell=CELL).item() for moved in (out, edge)]
+    assert losses[0] == losses[1] > 0.0
