@@ -1,9 +1,10 @@
 """Bodies that are no boxes: what shape a mass has, its exact volume, and the particles that fill it.
 
 A body is filled with the lattice of `datasets.scene.particles`, cut by its shape; each of the N particles has the
-volume of the shape over N; that of a layer whose thickness varies is the sum over the cells in which it is given, sum
-h_c A_c. A particle that its jitter would put outside stays where the lattice has it. A layer's lattice follows the
-ground: it is laid in x, z and the height above the ground, a shear that keeps volumes.
+volume of the shape over N. A particle that its jitter would put outside stays where the lattice has it. A layer's
+lattice follows the ground: it is laid in x, z and the height above the ground, a shear that keeps volumes. Where the
+thickness h varies, each column of the lattice has n = max(1, round(h / s)) rows over its own thickness, and each of its
+particles the volume h A / n, scaled to the exact volume of the layer, sum h_c A_c over the cells that give it.
 """
 
 import dataclasses
@@ -29,6 +30,7 @@ from datasets.scene.parts import INFLOW, TOLERANCE, Domain, Mass, SceneLayout, k
 from datasets.schema import FARTHEST
 
 LATTICE = 40  # bytes that a coordinate of a lattice takes while it is made
+FAINT = 0.01  # thickness of a layer over that of a row, below which a column gets no particle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -36,8 +38,9 @@ class Filling:
     """The particles of a body, before their jitter; N of them."""
 
     lattice: Floats  # their places [m], shape [N, D]; of a layer y counts from the ground
-    spacing: Floats  # of the lattice [m], shape [D]
-    volume: float  # of the body [m^D], which its particles share evenly
+    spacing: Floats  # of the lattice [m], shape [D]; of a layer whose thickness varies [N, D]
+    volume: float  # of the body [m^D], which its particles share
+    shares: Floats | None = None  # volume of each particle over the mean of all [-], [N]; None where all are alike
     lower: Floats  # lower corner of the box around the body [m], shape [D]
     upper: Floats  # upper corner [m], shape [D]
     contains: Callable[[Floats], NDArray[np.bool_]]  # which of N places, one of each particle, are still in the body
@@ -169,13 +172,12 @@ def layer(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) ->
     """A layer of given vertical thickness on the ground."""
     plan = Plan(mass, domain, key)
     level = plan_axes(domain.dimension)
-    thickest = float(plan.values.max())
-    lattice, spacing = lattice_in(np.insert(plan.lower, 1, 0.0), np.insert(plan.upper, 1, thickest), share)
+    lattice, spacing, shares = layered(plan, share)
+    thickness = plan.thickness(lattice[:, level])
 
     def contains(places: Floats) -> NDArray[np.bool_]:
         return np.asarray(plan.contains(places[:, level]) & (places[:, 1] < plan.thickness(places[:, level])))
 
-    lattice = lattice[contains(lattice)]
     places, _ = lattice_in(plan.lower, plan.upper, 0.5 * share)
     places = places[plan.contains(places) & (plan.thickness(places) > 0.0)]
     require(len(places) > 0, key, f"a layer that a lattice of {share:g} m puts particles into", "one without")
@@ -194,10 +196,27 @@ def layer(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) ->
         return np.asarray(np.maximum(top - places[:, 1], 0.0))
 
     lower, upper = np.insert(plan.lower, 1, float(floor.min())), np.insert(plan.upper, 1, float(top.max()))
-    box: dict[str, Any] = {"lower": lower, "upper": upper, "thickness": plan.thickness(lattice[:, level])}
-    return Filling(
-        lattice=lattice, spacing=spacing, volume=plan.volume, **box, contains=contains, raised=raised, cover=cover
-    )
+    given: dict[str, Any] = {"lattice": lattice, "spacing": spacing, "shares": shares, "thickness": thickness}
+    place: dict[str, Any] = {"lower": lower, "upper": upper, "raised": raised, "cover": cover}
+    return Filling(volume=plan.volume, contains=contains, **given, **place)
+
+
+def layered(plan: "Plan", share: float) -> tuple[Floats, Floats, Floats | None]:
+    """Lattice of a layer [m], [N, D], y from the ground; its spacing [m] and `Filling.shares`."""
+    if plan.values.ndim == 0:
+        lattice, spacing = lattice_in(np.insert(plan.lower, 1, 0.0), np.insert(plan.upper, 1, plan.values), share)
+        return lattice[plan.contains(np.delete(lattice, 1, axis=1))], spacing, None
+    columns, across = lattice_in(plan.lower, plan.upper, share)
+    thickness = plan.thickness(columns)
+    there = plan.contains(columns) & (thickness > FAINT * share)
+    columns, thickness = columns[there], thickness[there]
+    rows = np.maximum(1, np.rint(thickness / share)).astype(np.int64)
+    require_room(int(rows.sum()), 3)
+    height = np.repeat(thickness / rows, rows)
+    row = np.arange(len(height)) - np.repeat(np.cumsum(rows) - rows, rows)
+    lattice = np.insert(np.repeat(columns, rows, axis=0), 1, (row + 0.5) * height, axis=1)
+    spacing = np.insert(np.tile(across, (len(height), 1)), 1, height, axis=1)
+    return lattice, spacing, height / height.mean() if len(height) else None
 
 
 class Plan:
@@ -294,8 +313,13 @@ def lattice_of(scene: SceneLayout, mass: Mass) -> Floats:
 def lattice_in(lower: Floats, upper: Floats, share: float) -> tuple[Floats, Floats]:
     """Centres [N, D] of a lattice of about `share` [m] that fits the box from `lower` to `upper`; its spacing [D]."""
     counts = [max(1, round(float(length) / share)) for length in upper - lower]
-    instead = f"it has {math.prod(counts):.3g} places; larger cells or fewer particles_per_axis"
-    require_memory(LATTICE * len(counts) * math.prod(counts), "a body in a lattice", instead, key="masses")
+    require_room(math.prod(counts), len(counts))
     spacing = (upper - lower) / counts
     lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
     return lower + (lattice + 0.5) * spacing, spacing
+
+
+def require_room(places: int, dimension: int) -> None:
+    """Raise InputError for a lattice of more places than the memory holds."""
+    instead = f"it has {places:.3g} places; larger cells or fewer particles_per_axis"
+    require_memory(LATTICE * dimension * places, "a body in a lattice", instead, key="masses")

@@ -207,7 +207,16 @@ def stretches(scene: Scene) -> list[Floats]:
 def mass_volumes(scene: Scene) -> Floats:
     """Volume of each mass [m^D], that of its shape, of a layer with a field of thickness of its particles; [masses]."""
     volumes = (math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses)
-    return np.asarray(np.fromiter(volumes, np.float64) * [float(stretch.mean()) for stretch in stretches(scene)])
+    return np.asarray(np.fromiter(volumes, np.float64) * [float(shares.mean()) for shares in volume_shares(scene)])
+
+
+def volume_shares(scene: Scene) -> list[Floats]:
+    """Of the particles of each mass their volume over the mean before any field of thickness [-], [1] where alike."""
+    shares = stretches(scene)
+    for index, mass in enumerate(scene.masses):
+        if mass.kind == "layer" and (uneven := filling(scene, mass).shares) is not None:
+            shares[index] = shares[index] * uneven
+    return shares
 
 
 def particle_count(scene: Scene) -> int:
@@ -222,7 +231,11 @@ def released_volume(scene: Scene) -> float:
 
 def mass_centroids(scene: Scene) -> Floats:
     """Centroid of each mass [m], that of its particles before their jitter, shape [masses, D]."""
-    return np.array([lattice_of(scene, mass).mean(axis=0) for mass in scene.masses])
+    centroids = []
+    for mass, shares in zip(scene.masses, volume_shares(scene), strict=True):
+        places = lattice_of(scene, mass)
+        centroids.append(np.average(places, axis=0, weights=np.broadcast_to(shares, len(places))))
+    return np.array(centroids)
 
 
 def mass_particle_volumes(scene: Scene) -> Floats:
@@ -236,11 +249,12 @@ def mass_particle_volumes(scene: Scene) -> Floats:
 
 def initial_volumes(scene: Scene) -> Floats:
     """Initial volume of each particle [m^D], shape [N]."""
-    volumes = np.repeat(mass_particle_volumes(scene), mass_counts(scene))
-    if all(field.quantity != THICKNESS for field in scene.fields):
+    volumes, shares = np.repeat(mass_particle_volumes(scene), mass_counts(scene)), volume_shares(scene)
+    if all(len(uneven) == 1 for uneven in shares):
         return volumes
-    shares = zip(stretches(scene), mass_counts(scene), strict=True)
-    factors = [np.broadcast_to(stretch / stretch.mean(), count) for stretch, count in shares]
+    factors = [
+        np.broadcast_to(uneven / uneven.mean(), count) for uneven, count in zip(shares, mass_counts(scene), strict=True)
+    ]
     return np.asarray(volumes * np.concatenate(factors))
 
 

@@ -10,9 +10,9 @@ from datasets.errors import require
 from datasets.geometry.contact_surface import has_faces, has_field
 from datasets.geometry.placement import remembers_gaps
 from datasets.scene import INFLOW, Scene
-from datasets.scene.grid_field import FRICTION, THICKNESS
+from datasets.scene.grid_field import FRICTION
 from datasets.scene.material import MOHR_COULOMB
-from datasets.scene.particles import mass_particle_volumes
+from datasets.scene.particles import mass_particle_volumes, volume_shares
 from mpm.arrays.layout import Contact, Precision
 from mpm.laws import law_named, law_of
 from mpm.output.recording import ALL, Recording
@@ -261,6 +261,7 @@ def varies(scene: Scene) -> bool:
         len(materials) > 1
         or len(scene.stages) > 0
         or len(set(mass_particle_volumes(scene).tolist())) > 1
-        or any(field.quantity in (FRICTION, THICKNESS) for field in scene.fields)
+        or any(len(shares) > 1 for shares in volume_shares(scene))
+        or any(field.quantity == FRICTION for field in scene.fields)
         or any(material.strength_gradient > 0.0 for material in materials)
     )

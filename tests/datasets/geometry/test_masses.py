@@ -9,7 +9,7 @@ import shapely
 
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
 from datasets.scene import Mass, Scene, Solid
-from datasets.scene.particles import initial_particles, mass_volumes, particle_count
+from datasets.scene.particles import initial_particles, mass_centroids, mass_volumes, particle_count
 from tests import scenes
 from tests.datasets.geometry.solids import as_rows, sphere
 from tests.refusals import refused
@@ -95,6 +95,26 @@ def test_a_layer_on_a_height_field(outline: tuple[tuple[float, float], ...] | No
         assert (above < (0.1 if extra == {} else 0.1 + 0.02 * np.rint(x / 0.2))).all()
         if outline is not None:
             assert shapely.contains_xy(shapely.Polygon(outline), x, z).all()
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.8])
+def test_each_cell_of_a_thickness_holds_its_own_volume(jitter: float) -> None:
+    # Thinner than half a row, thicker than several, none; rows of the lattice are 25 mm high.
+    given = ((0.1, 0.012), (0.03, 0.0), (0.004, 0.3), (0.047, 0.05))
+    mass = Mass(kind="layer", thickness=given, origin=(0.25, 0.25), spacing=(0.5, 0.5))
+    scene = scene_of(mass, solids=(dataclasses.replace(VALLEY, friction=0.3),), dimension=3, jitter=jitter)
+    particles, thickness = initial_particles(scene), np.array(given)
+    x, y, z = particles.positions.T
+    held, _, _ = np.histogram2d(x, z, bins=(np.arange(5) * 0.5, np.arange(3) * 0.5), weights=particles.volume)
+    np.testing.assert_allclose(held, 0.25 * thickness, rtol=1e-9)
+    here = thickness[(x // 0.5).astype(int), (z // 0.5).astype(int)]
+    above = y - 0.1 - 0.4 * np.abs(z - 0.5)
+    # The raster of the valley is linear between its posts.
+    assert (above > -1e-3).all()
+    assert (above < here + 1e-3).all()
+    assert particles.volume.sum() == pytest.approx(mass_volumes(scene)[0], rel=1e-12)
+    centre = np.average(np.stack([x, z]), axis=1, weights=particles.volume)
+    np.testing.assert_allclose(mass_centroids(scene)[0, [0, 2]], centre, atol=2e-3)
 
 
 BOX, BALL = Mass(lower=(0.1, 0.3), size=(0.3, 0.3)), ball((1.0, 0.5, 0.5), 0.2)
