@@ -45,7 +45,7 @@ class Purpose(StrEnum):
     WAVE = "wave"  # where it narrows the posterior most
     CHECK = "check"  # at an answer
     KNOWN = "known"  # before, for another target
-    CELLS = "cells"  # at an answer on half the cells, in 3D on cells twice as large
+    CELLS = "cells"  # at an answer on cells of another size, which show the error of the scene's
 
 
 @dataclass(frozen=True, kw_only=True)

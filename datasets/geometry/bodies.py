@@ -48,6 +48,7 @@ class Filling:
     cover: Callable[[Floats], Floats] | None = None  # depth of places below the top [m], [N]; else below the highest
     thickness: Floats | None = None  # of a layer at the places of its lattice [m], shape [N]
     inflow: Inflow | None = None  # what enters, and when, of an inflow; its lattice are the places where
+    missed: Callable[[], float] = float  # share of the volume that is so thin that no particle is near; 0.0 of a layer
 
     def depth(self, positions: Floats) -> Floats:
         """Of `positions` [N, D] below the top of the body, shape [N]; in m."""
@@ -139,8 +140,10 @@ def polygon(mass: Mass, share: float, key: str) -> Filling:
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     lattice, spacing = lattice_in(lower, upper, share)
     contains = partial(shapely.contains_xy, shape)
-    lattice = lattice[contains(lattice)]
-    return Filling(lattice=lattice, spacing=spacing, volume=shape.area, lower=lower, upper=upper, contains=contains)
+    within = contains(lattice)
+    box: dict[str, Any] = {"lower": lower, "upper": upper, "contains": contains}
+    missed = partial(missed_share, within, lower, upper, share, contains)
+    return Filling(lattice=lattice[within], spacing=spacing, volume=shape.area, **box, missed=missed)
 
 
 def mesh(mass: Mass, share: float, key: str) -> Filling:
@@ -164,8 +167,23 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
         contained[~buried] = inside(boundary([body], 0.0), places[~buried])
         return contained
 
-    lattice, volume = lattice[within], manifold(vertices, triangles).volume()
-    return Filling(lattice=lattice, spacing=spacing, volume=volume, lower=lower, upper=upper, contains=contains)
+    box: dict[str, Any] = {"lower": lower, "upper": upper, "contains": contains}
+    missed = partial(missed_share, within, lower, upper, share, partial(sliced, vertices, triangles))
+    volume = manifold(vertices, triangles).volume()
+    return Filling(lattice=lattice[within], spacing=spacing, volume=volume, **box, missed=missed)
+
+
+def missed_share(
+    within: NDArray[np.bool_], lower: Floats, upper: Floats, share: float, contains: Callable[[Floats], Any]
+) -> float:
+    """Share of a body that lies in places of its lattice whose neighbours, too, are not `within` it, by a finer one."""
+    from scipy import ndimage
+
+    counts = [max(1, round(float(length) / share)) for length in upper - lower]
+    near = ndimage.binary_dilation(within.reshape(counts), np.ones((3,) * len(counts)))
+    fine, _ = lattice_in(lower, upper, 0.5 * share)
+    place = ((fine[contains(fine)] - lower) / (upper - lower) * counts).astype(int)
+    return 1.0 - float(near[tuple(place.T)].mean()) if len(place) else 0.0
 
 
 def layer(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Filling:

@@ -17,6 +17,7 @@ from datasets.geometry.shells import manifold
 from datasets.geometry.surface import Surface, closed_body, raster_body, solids_of, surface_in
 from datasets.scene.parts import INFLOW, TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
 
+HOVERS = 0.1  # height above the ground, in cells, from which on a body is in flight
 SAMPLES = 32  # most places along an axis at which the height of a body above ground is looked for
 
 
@@ -121,7 +122,7 @@ def remembers_gaps(scene: SceneLayout) -> bool:
     thrown = thrown or any(np.any(field.values) for field in scene.fields if "velocity" in field.quantity)
     if scene.gravity <= 0.0 or thrown or scene.solids or scene.baffles:
         return scene.gravity > 0.0
-    return bool((heights_above_ground(scene) >= scene.domain.cell - TOLERANCE).any())
+    return bool((heights_above_ground(scene) >= HOVERS * scene.domain.cell).any())
 
 
 def heights_above_ground(scene: SceneLayout) -> Floats:

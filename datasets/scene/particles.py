@@ -18,6 +18,7 @@ from datasets.scene.material import Material
 PARTICLE = 60  # bytes that a particle takes while it is made, over the square of the dimensions
 ROUNDING = 1.0e-13  # relative difference up to which two volumes are the same number
 RESOLVED = (3.0, 4.0)  # cells across a body that a warning recommends
+MISSED = 0.01  # share of a body, too thin for any particle, from which on a warning says so
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,9 +267,14 @@ def particle_volumes(scene: Scene, count: int) -> Floats:
 
 
 def warn_if_unresolved(scene: Scene) -> None:
-    """One UserWarning where a mass is thinner than a cell."""
+    """A UserWarning where a mass is thinner than a cell, and where parts of one are too thin for any particle."""
     if line := unresolved(scene, 1.0):
         warnings.warn(line, stacklevel=3)
+    for key, mass in keyed(scene, "masses").items():
+        if mass.kind in ("polygon", "mesh") and (missed := filling(scene, mass).missed()) > MISSED:
+            thin = f"{key}: {missed:.0%} of its volume is thinner than the distance of particles"
+            line = f"{thin}, {scene.particle_spacing:.3g} m, and is added to the rest; smaller cells would hold it"
+            warnings.warn(line, stacklevel=3)
 
 
 def unresolved(scene: Scene, cells: float) -> str:

@@ -39,15 +39,15 @@ def before_return(columns, strained, moduli, opening, box, dt, strengths_at, fea
 
     columns: the values of those of the law, and the plastic strain; strained: stress, C, jump of velocity at contact
     and contact; opening: gap, rate at which it follows the grid's, mass of the grid around, place and density; box:
-    cell and cells along each axis.
+    cell, cells along each axis and T_0.
     """
     strengths = strengths_at(*columns, box[0], dt, features)
     opened, limits = None, []
     if features.volume_correction:
         gap, rate, mass, x, density = opening
-        around = grid_gap(mass, x, strained[3], density, box, features)
+        around = grid_gap(mass, x, strained[3], density, box[:2], features)
         limits = [strengths[3]]
-        opened = updated_gap(gap[0], limits[0], moduli[0] + moduli[1] * (2.0 / 3.0), rate, around)
+        opened = updated_gap(gap[0], limits[0] - box[2], moduli[0] + moduli[1] * (2.0 / 3.0), rate, around)
     cracked = with_cracks(strained[0], opened, limits, *moduli, features)
     return trial_stress(cracked, increment_of(strained, dt, features), *moduli, features.dimension), strengths
 
@@ -107,7 +107,8 @@ def stress_reverse(block: ti.template(), arrays: ti.template()):
     plastic = vectors(arrays.state, block.state + features.state.plastic_strain, int(features.softens))
     columns = law_values(scene, number, arrays)
     numbers = ti.static(((columns, plastic), strained, moduli, (gap, rate, around, x, density)))
-    constants = ti.static(((dx, cells), dt, traceable(features.law.strengths), features))
+    least = arrays.settings[scene, Setting.LEAST_TENSION]
+    constants = ti.static(((dx, cells, least), dt, traceable(features.law.strengths), features))
     taken = ti.static([Pullback(before_return, numbers, constants)])[0]
     trial, strengths = ti.static(taken.values[: features.stresses], taken.values[features.stresses :])
     adj_strain, adj_opened = zero, zero

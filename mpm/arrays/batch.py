@@ -36,6 +36,7 @@ from mpm.arrays.properties import (
     drag_tables,
     elastic_energy,
     in_precision,
+    initial_gaps,
     properties_of,
     properties_row,
     roughest,
@@ -227,6 +228,8 @@ class Batch:
         if features.compensated:
             put(features.state.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.state.velocity, particles.velocities * particles.present[:, None])
+        if features.volume_correction and not features.wet and not features.inflow:
+            put(features.state.gap, initial_gaps(scene, particles)[:, None])
         for first in range(0, len(source) if features.contact else 0, PORTION):
             contacts = initial_contacts(scene, particles.positions[source[first : first + PORTION]])
             face, (first_face, end) = contacts[:, Contact.FACE], self.first_obstacles[index : index + 2, 1]

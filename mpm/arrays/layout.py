@@ -36,6 +36,7 @@ class Setting(IntEnum):
     GRIP = auto()  # friction of the side walls per volume over the pressure on them, 2 mu / W [1/m]
     CORRECTED = auto()  # 1 where gaps are remembered, else 0
     GAP_RATE = auto()  # at which a gap follows the grid's density [1/s]
+    LEAST_TENSION = auto()  # up to which what has opened is as loose as without any [Pa]
     SLOW_AFFINE = auto()  # C_s^2 of particles that bear nothing (`mpm.physics.transfer`) [1/s^2]
     WAVE_SPEED = auto()  # the fastest of the scene's materials [m/s]
     RELAXATION_RATE = auto()  # of the velocity that the grid cannot represent [1/s]

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.geometry.bodies import scene_height
-from datasets.geometry.placement import remembers_gaps
-from datasets.scene import NO_SLIP, Scene, coefficient
-from datasets.scene.material import Material
+from datasets.geometry.placement import heights_above_ground, remembers_gaps
+from datasets.scene import NO_SLIP, TOLERANCE, Scene, coefficient
+from datasets.scene.material import MOHR_COULOMB, Material
 from datasets.scene.particles import Particles
 from datasets.scene.water import pore_numbers, seepage
 from mpm.arrays.features import drags_of, features_of
@@ -31,10 +31,13 @@ from mpm.output.recording import REST_ENERGY
 Array = NDArray[Any]
 
 GAP_RATE = 4.0  # at which gaps follow the density, times sqrt(cell / gravity) [-] (`mpm.physics.volume_correction`)
+LEAST_TENSION = 0.1  # tension limit over the weight of a cell, up to which open material counts as loose [-]
+IN_FLIGHT = 2.0e-8  # volume strain that opens a body in flight: twice what counts as none [-]
 GAP_CUTOFF = 1.7  # cells from a wall or a solid within which it hides mass from a particle
 CONTACT_WIDTH = 1.0  # width h of the contact with solids [cells] (`mpm.physics.contact`)
 STABILITY = 1.0  # largest (wave speed + particle speed) dt / dx: measured clean up to 1.1 in 2D and 1.2 in 3D
 DRY_GRIP = 2.0  # Coulomb coefficient beyond which no dry sand can tell a surface's friction
+ADHESION = 1.0  # what cohesion adds to it, over the weight of a cell
 
 
 def roughest(scene: Scene) -> float:
@@ -42,13 +45,21 @@ def roughest(scene: Scene) -> float:
 
     Sand without cohesion bears a shear stress of at most tan(phi) times the pressure on any plane, and slides within
     itself beside a rougher surface. A larger coefficient would make of the pressure that rounding and jitter leave in
-    sand which falls beside a rough wall a hold on it.
+    sand which falls beside a rough wall a hold on it. Cohesion c is borne without pressure: where it is large against
+    the weight rho g dx of a cell, nothing slides along a rough surface.
     """
-    if features_of([scene], "f32").cohesive:
-        return NO_SLIP
     materials = [scene.material_of(mass) for mass in scene.masses]
     steepest = max(max(math.radians(material.phi_deg), math.asin(material.sin_phi_limit)) for material in materials)
-    return max(DRY_GRIP, math.tan(steepest))
+    grip = max(DRY_GRIP, math.tan(steepest))
+    if not features_of([scene], "f32").cohesive:
+        return grip
+    weight = min(material.density for material in materials) * scene.gravity * scene.domain.cell
+    if materials[0].law != MOHR_COULOMB or weight <= 0.0:
+        return NO_SLIP
+    deep = scene_height(scene)
+    cohesions = [material.cohesion_at(deep) for material in materials]
+    cohesions += [(stage.cohesion or 0.0) + (stage.strength_gradient or 0.0) * deep for stage in scene.stages]
+    return min(NO_SLIP, grip + ADHESION * max(cohesions) / weight)
 
 
 def search_distance(scene: Scene) -> float:
@@ -79,6 +90,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.GRIP: scene.channel.grip if scene.channel else 0.0,
         Setting.CORRECTED: float(remembers_gaps(scene) or pores[0] > 0.0),
         Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),
+        Setting.LEAST_TENSION: LEAST_TENSION * float(particles.density.min()) * scene.gravity * scene.domain.cell,
         Setting.SLOW_AFFINE: 2.0 * scene.gravity / scene.domain.cell,
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
@@ -156,6 +168,17 @@ def properties_at(material: Material, depth: Array, friction_deg: Array | None =
     }
     common = np.tile([values[column] for column in Property], (len(depth), 1))
     return np.concatenate([common, law_named(material.law).properties(material, depth, friction_deg)], axis=1)
+
+
+def initial_gaps(scene: Scene, particles: Particles) -> Array:
+    """K e [Pa] of particles at the start, shape [N]: what is in flight is open, if hardly, so that its gap follows the
+    grid and it lands before it bears. Else the nodes of a floor would hold it up to a cell above.
+    """
+    if not remembers_gaps(scene):
+        return np.zeros(len(particles.positions))
+    values = properties_of(particles)
+    bulk = values[:, Property.LAME] + 2.0 / 3.0 * values[:, Property.SHEAR]
+    return np.where(heights_above_ground(scene)[particles.mass] > TOLERANCE, IN_FLIGHT * bulk, 0.0)
 
 
 def elastic_energy(particles: Particles, stress: Array) -> float:

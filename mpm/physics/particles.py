@@ -143,9 +143,10 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
     opened, closed = 0.0 * stress[0], 0.0 * stress[0]
+    tension = strengths[3] - arrays.settings[scene, Setting.LEAST_TENSION]
     if ti.static(features.volume_correction):
         if is_loose(block, arrays):
-            opened = opened_of(scene, block, scratch, strengths[3], lame + shear * (2.0 / 3.0), dt, arrays)
+            opened = opened_of(scene, block, scratch, tension, lame + shear * (2.0 / 3.0), dt, arrays)
             closed = arrays.state[first + features.state.gap] - opened
     if ti.static(features.wet):
         volumetric = increment[0] + increment[features.dimension + 1]
@@ -162,7 +163,7 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
             shear_traction_step(scene, block, scratch, dt, shear, density, arrays)
     if ti.static(features.volume_correction):
         mean = (new[0] + new[1] + new[2]) / 3.0
-        gap = kept_gap(new[features.stresses + 1], mean, strengths[3], lame + shear * (2.0 / 3.0))
+        gap = kept_gap(new[features.stresses + 1], mean, tension, lame + shear * (2.0 / 3.0))
         arrays.state[first + features.state.gap] = arrays.settings[scene, Setting.CORRECTED] * gap
     if ti.static(features.strained):
         at = first + features.state.plastic_strain
@@ -170,8 +171,8 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
 
 
 @ti.func
-def opened_of(scene, block, scratch, limit, bulk, dt, arrays: ti.template()):
-    """K e [Pa] of the particles of a block in this step; limit: T [Pa], bulk: K [Pa]."""
+def opened_of(scene, block, scratch, tension, bulk, dt, arrays: ti.template()):
+    """K e [Pa] of the particles of a block in this step; tension: T - T_0 [Pa], bulk: K [Pa]."""
     features = arrays.features
     first = no_overflow(block * features.state.size)
     x = vectors(arrays.state, first, features.dimension)
@@ -181,7 +182,7 @@ def opened_of(scene, block, scratch, limit, bulk, dt, arrays: ti.template()):
     gap = grid_gap(grid, x, contact_of(block, arrays), density, (dx, cells), features)
     rate = dt * arrays.settings[scene, Setting.GAP_RATE]
     before = arrays.state[first + features.state.gap]
-    after = updated_gap(before, limit, bulk, rate, gap)
+    after = updated_gap(before, tension, bulk, rate, gap)
     if ti.static(features.wet):
         # Beside water down alone, and where that is open, too.
         least = ti.select(arrays.state[first + features.state.pore_pressure] < 0.0, minimum(after, before), before)

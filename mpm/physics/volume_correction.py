@@ -3,8 +3,8 @@
 A law for stress rates cannot tell how far sand has opened. So a particle carries its gap, the volume strain e that
 opened it without stress, and e must close before it bears anything (Tampubolon et al. 2017; the direction of cracks:
 `mpm.physics.stress.with_cracks`). Integrated strain alone drifts: a lone particle keeps its affine fit C, which strains
-it, for ever. Where a particle that carries no tension is open, its gap therefore follows that of the grid's density,
-backward in time over T_g = sqrt(dx / g) / 4:
+it, for ever. Where a particle is open that carries next to no tension, T <= T_0 = rho_0 g dx / 10, its gap therefore
+follows that of the grid's density, backward in time over T_g = sqrt(dx / g) / 4:
 
     e <- (e + dt / T_g min(e_s, max(15 e, e_s - 0.04))) / (1 + dt / T_g)
     e_s = max(0, 2 (1 - r) / (1 + r)) = -ln r + O((1 - r)^3)
@@ -89,22 +89,24 @@ def grid_gap(
 
 
 @ti.func
-def updated_gap(opened, limit, bulk, rate, gap):
-    """K e [Pa], remembered or, where open without tension, relaxed to the grid's `gap` e_s [-]; rate: dt / T_g [-]."""
+def updated_gap(opened, tension, bulk, rate, gap):
+    """K e [Pa], remembered or, where open without tension, relaxed to the grid's `gap` e_s [-]; tension: T - T_0 [Pa],
+    rate: dt / T_g [-].
+    """
     shown = minimum(bulk * gap, maximum(FASTEST * opened, bulk * (gap - SCATTER)))
     followed = (opened + rate * shown) / (1.0 + rate)
-    return ti.select((opened > 0.0) & (limit <= 0.0), followed, opened)
+    return ti.select((opened > 0.0) & (tension <= 0.0), followed, opened)
 
 
 @ti.func
-def kept_gap(opened, mean, limit, bulk):
-    """K e [Pa] as it is remembered after a step: at least K LEAST where cohesionless sand bears nothing.
+def kept_gap(opened, mean, tension, bulk):
+    """K e [Pa] as it is remembered after a step: at least K LEAST where sand without tension bears nothing.
 
     Sand that starts to fall strains by rounding alone, whose sign must not decide whether it is open. mean: mean stress
-    [Pa]; limit: T [Pa]; bulk: K [Pa].
+    [Pa]; tension: T - T_0 [Pa]; bulk: K [Pa].
     """
     least = LEAST * bulk
-    bears = (mean <= 0.0 - least) | (limit > 0.0)
+    bears = (mean <= 0.0 - least) | (tension > 0.0)
     return ti.select(opened > least, opened, ti.select(bears, 0.0 * opened, least + 0.0 * opened))
 
 

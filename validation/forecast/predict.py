@@ -36,7 +36,7 @@ from datasets.scene.particles import initial_particles
 from inverse.parameters import with_parameters
 from inverse.search.waves import jitter_seed
 from mpm import ALL, LAST, Recording
-from validation.loop.verdict import OTHER_CELLS
+from validation.loop.verdict import other_cells
 from validation.run_store import RunStore, caveats
 
 PEAKS = "peaks"  # what the summary of a run keeps of all its frames: see `with_peaks`
@@ -228,12 +228,16 @@ def cells_error(
 ) -> dict[str, float]:
     """d of each number, from runs at the medians; none where the box does not divide into other cells."""
     edge = scene.domain.cell
-    other = OTHER_CELLS[scene.dimension] * edge
-    try:
-        scenes = [at(scene.with_cell(cell), names, median, seed) for cell in (edge, other) for seed in range(CHECKS)]
-    except InputError:
-        return {}
-    flows = [numbers_of(flow) for flow in store(scenes, record=record)]
-    parts = (flows[:CHECKS], flows[CHECKS:])
-    here, there = ({name: float(np.mean([entry[name] for entry in part])) for name in part[0]} for part in parts)
-    return {name: abs(edge / (edge - other) * (here[name] - there[name])) for name in here}
+    for other in (factor * edge for factor in other_cells(scene)):
+        seeds = {edge: CHECKS, other: 1 if other < edge and scene.dimension == 3 else CHECKS}
+        try:
+            scenes = [
+                at(scene.with_cell(cell), names, median, seed) for cell, count in seeds.items() for seed in range(count)
+            ]
+            flows = [numbers_of(flow) for flow in store(scenes, record=record)]
+        except InputError:
+            continue
+        parts = (flows[:CHECKS], flows[CHECKS:])
+        here, there = ({name: float(np.mean([entry[name] for entry in part])) for name in part[0]} for part in parts)
+        return {name: abs(edge / (edge - other) * (here[name] - there[name])) for name in here}
+    return {}

@@ -9,6 +9,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from datasets.errors import InputError
+from datasets.maps import least_thickness
+from datasets.scene import Scene
 from inverse.answer import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
@@ -26,7 +28,8 @@ EXCLUDED = 1e-3
 """Probability of the nearest fit of all, at a bound, below which no parameters between the bounds give the target."""
 SETTLED = 0.05  # change of the factor of a discrepancy, over it, that widens or narrows no interval
 NEGLIGIBLE = 0.1  # share of the variance of residuals, below which a source of it explains none of a misfit
-OTHER_CELLS = {2: 0.5, 3: 2.0}  # of the scene's, by dimension: those by which the error of the cells is measured
+HALF, TWICE = 0.5, 2.0  # sizes of other cells over the scene's, by which the error of these is measured
+THIN = 2.0  # cells across a mass in 3D, below which cells twice as large do not show the error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,11 +223,10 @@ def fitted(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Fit:
 
 
 def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
-    """Runs at an answer on half the cells, in 3D on cells twice as large; for a target of no flow on the scene's cells.
+    """Runs at an answer on cells of another size (`other_cells`); none for a target that is a flow on the same.
 
     What they change is, to first order, the error of the cells used (Roache, Perspective: a method for uniform
-    reporting of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413). Larger cells show less of it, where it
-    does not fall steadily; half the cells cost sixteen runs in 3D. None where the numbers are those of single
+    reporting of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413). None where the numbers are those of single
     particles, and where the box does not divide into such cells.
     """
     # Where the checks are: the difference is of the cells alone.
@@ -232,12 +234,28 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     scene = task.problem.scene_at(location)
     if task.target.cell == scene.domain.cell:
         return ()
-    try:
-        scene = task.on_cells(scene, OTHER_CELLS[scene.dimension])
-        scenes = [replace(scene, seed=check.trajectory.scene.seed) for check in answer.checks]
-    except InputError:
-        return ()
-    return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
+    for factor in other_cells(scene):
+        # One run on half the cells costs as much as sixteen in 3D, and scatters less than these.
+        checks = answer.checks[:1] if factor < 1.0 and scene.dimension == 3 else answer.checks
+        try:
+            other = task.on_cells(scene, factor)
+            scenes = [replace(other, seed=check.trajectory.scene.seed) for check in checks]
+            return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
+        except InputError:
+            # The box does not divide into such cells, or the memory does not suffice for them.
+            continue
+    return ()
+
+
+def other_cells(scene: Scene) -> tuple[float, ...]:
+    """Cells that show the error of those of `scene`, over these, the best ones first.
+
+    Half the cells, in 3D cells twice as large: half the cells cost sixteen times as much there. Where a mass is thinner
+    than `THIN` cells, cells twice as large do not show the error: of a slide a quarter of a cell thick, what they
+    change has another sign than what half the cells change.
+    """
+    thin = min(map(least_thickness, scene.masses)) < THIN * scene.domain.cell
+    return (HALF,) if scene.dimension == 2 else (HALF, TWICE) if thin else (TWICE,)
 
 
 def is_unreachable(posterior: Posterior) -> bool:

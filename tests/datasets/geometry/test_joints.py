@@ -61,6 +61,13 @@ def test_plates_that_meet_in_a_point_are_refused(first: float, second: float, ga
     assert surface(scene_of(*plates(1.0e-3), size=PLANE)).dimension == 2
 
 
+@pytest.mark.parametrize("overhang", [0.0, 1e-7, 1e-6, 1e-4, -1e-6])
+def test_a_post_on_the_end_of_a_plate_is_not_refused(overhang: float) -> None:
+    """They share an edge of 20 mm but for the overhang, whose two corners are no meeting in a point."""
+    foot = Solid(lower=(0.5, 0.2), size=(0.2 - overhang, 0.005))
+    assert surface(scene_of(foot, Solid(lower=(0.68, 0.205), size=(0.02, 0.3)), size=PLANE)).dimension == 2
+
+
 @pytest.mark.parametrize("gap", [1e-6, 3e-4])
 def test_faces_that_nearly_meet_are_not_refused(gap: float) -> None:
     """Sand passes no slit so much narrower than a cell."""

@@ -1,15 +1,17 @@
 """Bodies of every kind: exact volume, particles inside, one line for what is no body."""
 
 import dataclasses
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
 import shapely
 
+from datasets.geometry.bodies import filling
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
 from datasets.scene import Mass, Scene, Solid
-from datasets.scene.particles import initial_particles, mass_centroids, mass_volumes, particle_count
+from datasets.scene.particles import initial_particles, mass_centroids, mass_volumes, particle_count, warn_if_unresolved
 from tests import scenes
 from tests.datasets.geometry.solids import as_rows, sphere
 from tests.refusals import refused
@@ -95,6 +97,20 @@ def test_a_layer_on_a_height_field(outline: tuple[tuple[float, float], ...] | No
         assert (above < (0.1 if extra == {} else 0.1 + 0.02 * np.rint(x / 0.2))).all()
         if outline is not None:
             assert shapely.contains_xy(shapely.Polygon(outline), x, z).all()
+
+
+@pytest.mark.parametrize(("thin", "share"), [(0.012, 0.178), (0.05, 0.0)])
+def test_parts_too_thin_for_any_particle_are_warned_of(thin: float, share: float) -> None:
+    """A column of 0.1 m2 on a foot 1.8 m long: what has no particle near it is said, of polygons and of meshes."""
+    tall = ((0.0, 0.0), (1.9, 0.0), (1.9, thin), (0.2, thin), (0.2, 0.5), (0.0, 0.5))
+    scene = scene_of(polygon(*tall))
+    missed = filling(scene, scene.masses[0]).missed()
+    assert missed == pytest.approx(share, abs=0.01)
+    warned = pytest.warns(UserWarning, match=r"masses\[0\]: 1\d% of its volume is thinner")
+    with warned if share > 0.0 else nullcontext():
+        warn_if_unresolved(scene)
+    round_scene = scene_of(ball((1.0, 0.5, 0.5), 0.3), dimension=3)
+    assert filling(round_scene, round_scene.masses[0]).missed() == 0.0
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.8])
