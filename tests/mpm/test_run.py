@@ -269,7 +269,7 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
         assert run(command, "mpm.run", [str(scene), "--out", str(out), *flags]) == status
     assert signal.getsignal(number) is before
     said = capsys.readouterr().err.splitlines()[-1]
-    assert said == f"talus: interrupted at t = {end} s; the same command goes on from {out}/checkpoint.npz"
+    assert said == f"talus: interrupted at t = {end} s; the same command continues from {out}/checkpoint.npz"
     name = "trajectory.h5" if "--hdf5" in flags else "trajectory.npz"
     if "--hdf5" in flags:
         assert len(Trajectory.load(out / name).positions) == 2
