@@ -260,7 +260,7 @@ def nearest_face(x, last, entry, scene, arrays: ti.template()):
 
 @ti.func
 def margin(x, weights, part, a, b, c, arrays: ti.template()):
-    """How far `x` may move while its foot (`foot_on_face`) stays on its part of a face [m]; 0 at a triangle's corner."""
+    """How far `x` may move with its foot (`foot_on_face`) on the same part of a face [m]; 0 at a triangle's corner."""
     free = 0.0 * x[0]
     if ti.static(arrays.features.dimension == 2):
         along, length = b - a, (b - a).norm()
