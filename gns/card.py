@@ -153,7 +153,7 @@ def warning(weights: Path, scene: Scene) -> str | None:
     if card is None:
         return f"{weights.name} has no card beside it: its training range is unknown"
     reasons = outside(scene, card.ranges)
-    return f"{weights.name} is outside of its training range: {'; '.join(reasons)}" if reasons else None
+    return f"{weights.name} lies outside its training range: {'; '.join(reasons)}" if reasons else None
 
 
 def total_updates(provenance: Mapping[str, Any]) -> int:

@@ -67,7 +67,7 @@ def simulate(
         with torch.no_grad():
             stands = bool(simulator.moment(*in_model_units(there.state, there.conditions)).stands().all())
         if not stands:
-            message = "the surrogate leaves a mass at rest that its bed is too smooth or too steep to hold: ask the MPM"
+            message = "the surrogate predicts rest on a bed too smooth or too steep to hold the mass: ask the MPM"
             warnings.warn(message, stacklevel=2)
     summary: dict[str, Any] = {**measures.extents(scene, positions[-1], volume), "steps": initial.steps}
     summary |= {"particles": len(initial.indices), "wall_s": wall, "device": str(device)}
@@ -125,7 +125,7 @@ def predict(
     if calibration is None and described is not None:
         calibration = described.calibration(scene, key)
     if calibration is None:
-        message = "expected a calibration, by gns.score.calibrated or on the model's card by python -m gns.score --keep"
+        message = "expected a calibration, from gns.score.calibrated or on the card, where gns.score --keep writes it"
         raise InputError(message, where="" if path is None else str(card.card_path(path)), key="calibration")
     rollout = simulate(scene, model=model)
     rear, front = measures.ends(rollout.positions[-1], rollout.volumes)

@@ -122,4 +122,4 @@ class TrainingSettings(Record):
         super().__post_init__()
         require(min(self.unroll, default=0) >= 1, "unroll", "integers of at least 1", list(self.unroll))
         some = not self.shares or (min(self.shares) >= 0.0 and sum(self.shares) > 0.0)
-        require(some, "shares", "shares of at least 0, not all of them", list(self.shares))
+        require(some, "shares", "shares of at least 0, not all of them 0", list(self.shares))

@@ -61,7 +61,7 @@ class Workers:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 if future.cancelled():
-                    raise WorkFailed("the scheduler has gone; what was finished is kept")
+                    raise WorkFailed("the scheduler has disappeared; finished work is kept")
                 yield running.pop(future), future
 
     def finished(self, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
@@ -101,7 +101,7 @@ def pool(jobs: int) -> Iterator[Workers]:
             yield Workers(executor=executor, width=lambda: jobs)
     except BrokenProcessPool:
         time.sleep(GRACE)
-        raise WorkFailed("a process was killed, perhaps for want of memory; try fewer jobs") from None
+        raise WorkFailed("a process was killed, perhaps for lack of memory; try fewer jobs") from None
     finally:
         executor.shutdown(cancel_futures=True)
 

@@ -116,7 +116,7 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[MeasuredResoluti
     measured = read_measured() if measured is None else measured
     candidates = [entry for entry in measured if entry.dimension == scene.dimension]
     best = min((entry.promised for entry in candidates), default=math.inf)
-    tightest = f"at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured"
+    tightest = f"at least {100 * best:.2g}% in {scene.dimension}D, the tightest measured"
     require(best <= tolerance, "--tolerance", tightest, f"{100 * tolerance:.3g}%")
     suitable = [entry for entry in candidates if entry.promised <= tolerance]
     cheapest = min(suitable, key=lambda entry: entry.particle_steps)

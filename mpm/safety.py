@@ -82,7 +82,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
     stands, or moves, whatever its strength. Warns in one line if the slope moves even at twice the strength.
     """
     if scene.gravity <= 0.0:
-        raise InputError("expected gravity above 0, nothing moves without", key="gravity")
+        raise InputError("expected gravity above 0: nothing moves without it", key="gravity")
     tall = scene_height(scene)
     begin, options["record"] = time.perf_counter(), Recording(frames=FRAMES // 2)
     displacements: dict[float, float] = {}

@@ -125,7 +125,7 @@ def simulate(
     parts = runtime.parts_for(particle_count(scene), threads) if arch == "cpu" else 1
     file, gpu = options.get("file"), arch != "cpu"
     if file is not None and record.state:
-        raise InputError("expected positions alone: fields are smoothed in memory", key="file")
+        raise InputError("expected only positions: fields are smoothed in memory", key="file")
     plan = footprint(scene, record=record, precision=precision, workers=parts, gpu=gpu, in_file=file is not None)
     require_memory([plan])
     particles = particles_of([scene])

@@ -105,21 +105,21 @@ def check(scene: Scene, settings: ModelSettings) -> None:
     materials = [scene.material_of(mass) for mass in scene.masses]
     refused = [
         (bool(scene.open_sides), "open_sides", "a closed box"),
-        (bool(scene.stages), "stages", "a material that stays as it is"),
-        (any(mass.kind == INFLOW for mass in scene.masses), "masses", "masses that are there from the start"),
-        (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
+        (bool(scene.stages), "stages", "a material that does not change"),
+        (any(mass.kind == INFLOW for mass in scene.masses), "masses", "masses present from the start"),
+        (any(mass.release is not None for mass in scene.masses), "masses", "masses free from the start"),
         (any(material.saturated for material in materials), "material.saturated", "dry material"),
         (len({material.density for material in materials}) > 1, "masses", "masses of one density"),
         *((material.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for material in materials),
     ]
     for place, baffle in keyed(scene, "baffles").items():
-        refused.append((baffle.turbulence is not None, f"{place}.turbulence", "Coulomb friction alone"))
+        refused.append((baffle.turbulence is not None, f"{place}.turbulence", "only Coulomb friction"))
     for place, solid in keyed(scene, "solids").items():
-        refused.append((solid.kind != "terrain", f"{place}.kind", "baffles and terrain alone"))
-        refused.append((solid.contact != "coulomb", f"{place}.contact", "Coulomb friction alone"))
+        refused.append((solid.kind != "terrain", f"{place}.kind", "only baffles and terrain"))
+        refused.append((solid.contact != "coulomb", f"{place}.contact", "only Coulomb friction"))
     for bad, key, expected in refused:
         if bad:
-            raise InputError(f"expected {expected}, the model knows no other", key=key)
+            raise InputError(f"expected {expected}, the model supports no other", key=key)
 
 
 def conditions_of(scene: Scene, spacing: float, friction: Any, cohesion: Any, volume: Any, units: Units) -> Conditions:

@@ -44,7 +44,7 @@ class Units:
         if settings.body_length is None:
             return Units()
         if scene.gravity <= 0.0:
-            raise InputError("expected gravity, the model knows no flow without", key="gravity")
+            raise InputError("expected gravity: the model has no flows without it", key="gravity")
         body = released_volume(scene) ** (1.0 / scene.dimension)
         time = math.sqrt(body / settings.body_length * GRAVITY / scene.gravity)
         steps = max(1, round(scene.duration / (time * settings.step)))

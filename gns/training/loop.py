@@ -104,7 +104,7 @@ def fit(
     if resume and not (out / LAST).exists():
         raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
     if not resume and (out / LAST).exists():
-        raise InputError(f"it holds a training: --resume continues {LAST}, another --out begins anew", where=str(out))
+        raise InputError(f"holds a training: --resume continues {LAST}, another --out starts anew", where=str(out))
     if training.correct and begin is None:
         raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")
     with ExitStack() as stack:
@@ -199,7 +199,7 @@ class TrainingRun:
         loss.backward()
         norm = nn.utils.clip_grad_norm_(self.free, self.training.clip)
         if not math.isfinite(norm):
-            raise WorkFailed(f"the gradient of update {updates + 1} is not finite; {LAST} is older and whole")
+            raise WorkFailed(f"the gradient of update {updates + 1} is not finite; {LAST} holds an earlier state")
         for optimiser in self.optimisers:
             for group in optimiser.param_groups:
                 group["lr"] = rate
@@ -310,7 +310,7 @@ def continued(model: Model, settings: ModelSettings, training: TrainingSettings)
     simulator = model.simulator
     there = asdict(replace(simulator.settings, rest_speed=settings.rest_speed))
     if other := [key for key, value in asdict(settings).items() if value != there[key]]:
-        raise InputError(f"expected a model of the settings given, other is {', '.join(other)}", key="--begin")
+        raise InputError(f"expected a model with the settings given, these differ: {', '.join(other)}", key="--begin")
     # No weight depends on the speed of rest.
     simulator.settings = settings
     if not training.correct:

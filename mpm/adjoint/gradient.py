@@ -121,7 +121,7 @@ class Gradient(RunNumbers):
         """dJ/d(number `name` of the scene): floor_friction, wall_friction, damping, gravity, slope_deg, ..."""
         at = getattr(self.scene, name)
         if isinstance(at, str):
-            raise InputError(f"expected a number of which there is a derivative, got {at!r}", key=name)
+            raise InputError(f"expected a number that has a derivative, got {at!r}", key=name)
         return self.along(lambda value: dataclasses.replace(self.scene, **{name: value}), at)  # type: ignore[arg-type]
 
     def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
@@ -288,7 +288,7 @@ def differences(function: Callable[[float], Any], at: float, name: str, step: fl
             # One-sided, of second order.
             return (4.0 * function(at + step) - function(at + 2.0 * step) - 3.0 * function(at)) / (2.0 * step)
         except InputError as error:
-            raise InputError(f"expected a value of {name} with others about it, got {at:g}: {error}") from None
+            raise InputError(f"expected a value of {name} inside its range, got {at:g}: {error}") from None
 
 
 def gradient(

@@ -49,12 +49,12 @@ SPARE = 1.25
 
 def check(features: Features) -> None:
     """Raise InputError if scenes with `features` need something without an adjoint."""
-    dry = "false: the adjoint has no reverse of pore water, python -m validation.loop needs none"
+    dry = "false: the adjoint does not cover pore water, python -m validation.loop needs none"
     require(not features.pores, "material.saturated", dry, "true")
     if features.gates:
-        raise InputError("expected a scene that the adjoint knows, it has no reverse of a gate yet", key="scene")
+        raise InputError("expected a scene without a gate, which the adjoint does not cover yet", key="scene")
     if features.inflow:
-        raise InputError("expected masses that are there from the start, the adjoint has no inflow", key="masses")
+        raise InputError("expected masses present from the start, the adjoint does not cover inflow", key="masses")
 
 
 def steady(scene: Scene) -> Scene:
@@ -110,10 +110,10 @@ class Tape:
         particles = particles_of(scenes) if particles is None else list(particles)
         features = features_of(scenes, precision, record=LAST)
         if any(features_of([scene], precision, record=LAST) != features for scene in scenes):
-            raise InputError("expected scenes of one kind: each has what every other has, contact, damping, ...")
+            raise InputError("expected scenes of one kind, with the same features: contact, damping, ...")
         check(features)
         if any(scene.stages for scene in scenes):
-            raise InputError("expected a scene without stages, of which the adjoint has no reverse", key="stages")
+            raise InputError("expected a scene without stages, which the adjoint does not cover", key="stages")
         workers = runtime.workers_for(len(particles[0].positions), threads) if len(scenes) == 1 else 1
         runtime.start(precision, threads, enough=max(workers, min(len(scenes), threads or len(scenes))))
         self.batch = Batch(scenes, precision=precision, workers=workers, record=LAST, particles=particles)
@@ -314,7 +314,7 @@ class Tape:
                 fraction = batch.scenes[index].step_fraction
                 raise WorkFailed(
                     f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints were "
-                    f"cut, of single particles that swing; try a step_fraction below {fraction:g}"
+                    f"cut, for single oscillating particles; try a step_fraction below {fraction:g}"
                 )
         for objective, share in zip(objectives, shares, strict=True):
             objective["cut"], objective["settings"] = share, np.zeros((len(batch.scenes), len(Setting)))

@@ -213,14 +213,14 @@ def features_of(
     materials = [scene.material_of(mass) for scene in scenes for mass in scene.masses]
     law = law_of(materials)
     asked = any(scene.volume_correction for scene in scenes)
-    require(law.OPENS or not asked, "volume_correction", "false or none beside a law without gaps", "true")
+    require(law.OPENS or not asked, "volume_correction", "false or none with a law without gaps", "true")
     stages = [stage for scene in scenes for stage in scene.stages]
     inflow = any(mass.kind == INFLOW for scene in scenes for mass in scene.masses)
     seeps = any(scene.water is not None and scene.water.fixed for scene in scenes)
     wet = any(material.saturated for material in materials) and not seeps
     pool = any(scene.water is not None and scene.water.pool is not None for scene in scenes)
-    require(seeps or not pool, "water.pool", "none of a flow: --safety alone knows water above the ground", "one")
-    require(not (wet and gpu), "material.saturated", "false on a GPU, which knows no pore water yet", "true")
+    require(seeps or not pool, "water.pool", "none in a flow: only --safety supports water above the ground", "one")
+    require(not (wet and gpu), "material.saturated", "false on a GPU, which does not support pore water yet", "true")
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,

@@ -198,7 +198,7 @@ def caveats(
         near = [float(np.mean(np.abs(each[:, axis] - wall) < close)) for each in (start, deposit)]
         if not near[0] and near[1] > SHARE:
             share = f"{near[1]:.2g} of the particles"
-            lines.append(f"the side {side} of the box holds {share}, which would have spread further")
+            lines.append(f"side {side} of the box stops {share}, which would have spread further")
     for side, left in outflow.items():
         if left > 0.0:
             lines.append(f"{left / mass:.2g} of the mass left the box through its open side {side}")

@@ -247,7 +247,7 @@ def test_a_gate_holds_what_is_above_its_foot(scene: Scene) -> None:
     # It flows out beneath, less than without a gate.
     standing, out, free = (x[:, 0].max() for x in (flow.positions[opened], flow.positions[-1], gone.positions[-1]))
     assert standing + 0.02 * CELL < out < free - 0.02 * CELL
-    refused(gradient, with_masses(scene, mass), lambda x, v: (0.0, 0.0 * x, None), said="no reverse of a gate yet")
+    refused(gradient, with_masses(scene, mass), lambda x, v: (0.0, 0.0 * x, None), said="scene without a gate")
 
 
 @pytest.mark.double
