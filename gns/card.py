@@ -80,7 +80,7 @@ class Card(Record):
     scores: str
     """Tables in Markdown of whole rollouts, by `python -m gns.score`; empty where none were given."""
     datasets: dict[str, Dataset]
-    """Definition or folder -> what it holds."""
+    """Definition or folder -> its content."""
 
     @property
     def ranges(self) -> dict[str, Range]:

@@ -49,7 +49,7 @@ INVERSION = 250 * 2**20  # bytes of PyTorch and of an inversion in a process tha
 
 @dataclass(frozen=True, kw_only=True)
 class Footprint:
-    """What a run takes."""
+    """The size, memory and steps of a run."""
 
     particles: int
     nodes: tuple[int, ...]  # of the box along each axis; the grid holds those near the material

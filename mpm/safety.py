@@ -124,7 +124,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
 
 
 def settlements(flow: Trajectory, tall: float) -> tuple[float, ...]:
-    """What a SHARE of the particles exceeds: displacement in first half, second half, whole run [elastic settlements].
+    """Displacements that a SHARE of the particles exceeds: first half, second half, whole run [elastic settlements].
 
     tall: H [m].
     """

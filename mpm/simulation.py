@@ -95,7 +95,7 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, checkpoint: Checkpoint, so_far: Trajectory) -> None:
         self.checkpoint = checkpoint
         self.so_far = so_far
-        """What was recorded until then."""
+        """The records until then."""
         super().__init__()
 
 

@@ -29,7 +29,7 @@ LARGEST = 5.0  # largest absolute value of a normalised feature [-]
 
 
 class Correction(nn.Module):
-    """C: what a network is given of the end, and of each particle its place in the flow as a whole, normalised."""
+    """C: its input is the features at the end, and the place of each particle in the whole flow, normalised."""
 
     mean: Tensor
     std: Tensor

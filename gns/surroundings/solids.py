@@ -58,7 +58,7 @@ class Boxes:
         return vectors if self.turn is None else rotated(vectors, *self.turn)
 
     def contain(self, points: Tensor, slack: float) -> Tensor:
-        """Which points [n, D] are farther than `slack` [m] inside which box, shape [n, K]."""
+        """Whether each point [n, D] is more than `slack` [m] inside each box, shape [n, K]."""
         return (self.in_axes(points).abs() < self.half - slack).all(dim=2)
 
 

@@ -2,8 +2,8 @@
 
 The adjoint of a quantity x is dJ/dx, named `adj_x` (Griewank & Walther, Evaluating derivatives, 2008).
 
-    pullback                    what is local to a particle (stress, plastic return, cracks, gaps, softening, tractions,
-                                the foot on a face) is traced from the functions of `mpm.physics` themselves
+    pullback                    values local to a particle (stress, plastic return, cracks, gaps, softening, tractions,
+                                the foot on a face) are traced from the functions of `mpm.physics` themselves
     stress, contact, faces      of a block of particles: the turn into principal axes; the contact with solids
     transfer, particles         both transfers by hand, with the motion of the weights
     grid, boundary              gravity, damping, AFLIP's change of velocity; barriers; walls with Coulomb friction

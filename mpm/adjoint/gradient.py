@@ -54,7 +54,7 @@ class RunNumbers:
     scene: Scene
     particles: Particles
     positions: Floats
-    """Of the particles [m], shape [N, D]."""
+    """Positions of the particles [m], shape [N, D]."""
     velocities: Floats
     """[m/s], shape [N, D]."""
     velocity_gradients: Floats
@@ -67,9 +67,9 @@ class RunNumbers:
     settings: Floats
     """`mpm.arrays.layout.Setting`, shape [len(Setting)]."""
     faces: Floats
-    """Of solids, `mpm.solids.obstacles.Obstacles.faces`, shape [F, columns]; no rows without solids."""
+    """Faces of solids, `mpm.solids.obstacles.Obstacles.faces`, shape [F, columns]; no rows without solids."""
     holds: Floats
-    """Of nodes deep in solids, `mpm.solids.obstacles.Obstacles.holds`, shape [K, 3]."""
+    """Holds of nodes deep in solids, `mpm.solids.obstacles.Obstacles.holds`, shape [K, 3]."""
     terrain: Floats
     """The friction at the posts of a terrain in 3D, or the uniform one, shape [P]; empty without terrain."""
     drags: Floats

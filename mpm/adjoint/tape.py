@@ -75,7 +75,7 @@ class FlowAdjoints(NamedTuple):
     """Adjoints of the observed quantities of a run of a scene, at T frames."""
 
     positions: Array
-    """Of N particles [J / m], shape [T, N, D]."""
+    """Adjoints of the positions of N particles [J / m], shape [T, N, D]."""
     velocities: Array | None = None
     """[J s / m], shape [T, N, D]; None if J does not depend on them."""
     impulses: Array | None = None
@@ -231,11 +231,11 @@ class Tape:
         return bed.to_posts(adjoint[: bed.heights.size].reshape(bed.heights.shape)).ravel()
 
     def positions(self, index: int = 0) -> NDArray[np.float64]:
-        """Of the particles of a scene at the observed frames [m], shape [T, N, D]."""
+        """Positions of the particles of a scene at the observed frames [m], shape [T, N, D]."""
         return np.stack([self.observed[frame][0][self.particles(index)] for frame in self.frames]).astype(np.float64)
 
     def velocities(self, index: int = 0) -> NDArray[np.float64]:
-        """Of the particles of a scene at the observed frames [m/s], shape [T, N, D]."""
+        """Velocities of the particles of a scene at the observed frames [m/s], shape [T, N, D]."""
         return np.stack([self.observed[frame][1][self.particles(index)] for frame in self.frames]).astype(np.float64)
 
     def impulses(self, index: int = 0) -> NDArray[np.float64]:

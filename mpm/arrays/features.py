@@ -70,7 +70,7 @@ class Features:
     damped: bool = False
     listed: bool = False  # solids have listed faces
     terrain: bool = False  # a terrain is a smooth bed (`mpm.solids.terrain`)
-    contact: bool = False  # solids stand in the box: baffles, ground, obstacles
+    contact: bool = False  # there are solids in the box: baffles, ground, obstacles
     turbulent: bool = False  # solids brake with the square of the speed (`mpm.physics.contact`)
     channel: bool = False  # side walls of a scene in 2D brake it (`mpm.physics.channel`)
     outflow: bool = False  # a side of the box is open, or particles have not entered yet
@@ -171,7 +171,7 @@ class Features:
 
     @cached_property
     def node(self) -> Addresses:
-        """Numbers of a node, of which there are NODE; the others stay zero."""
+        """The used numbers of a node, out of NODE; the others stay zero."""
         size, braked = self.dimension, int(self.channel)
         # The change of a node's velocity replaces its force, which is no longer needed. Last the sum of w m d / h
         # (`mpm.physics.contact`).

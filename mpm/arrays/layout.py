@@ -51,7 +51,7 @@ class Setting(IntEnum):
 class Property(IntEnum):
     """First columns of `properties`, real, shape [scenes, columns]; of each particle where scenes are heterogeneous.
 
-    Those of the material's law follow (`mpm.laws`).
+    The columns of the material's law follow (`mpm.laws`).
     """
 
     VOLUME = 0  # initial [m^D]

@@ -92,7 +92,7 @@ def barrier_tables(
 ) -> tuple[list[list[int]], list[list[int]], list[list[float]]]:
     """Lines of `barriers`, `retained` and `settling`, in the order of `Barrier`, `Retained` and `Settling`.
 
-    One of the latter two for each retained mass of `scene`, the first of which is line `first`.
+    The latter two have one line for each retained mass of `scene`, starting with line `first`.
     """
     held: list[list[int]] = []
     retained: list[list[int]] = []

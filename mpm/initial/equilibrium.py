@@ -43,7 +43,7 @@ particles at its edge cannot hold fall, instead of loading these particles witho
 UPWARD = 0.1  # least vertical component of the normal of a solid that carries load
 WEAK = 0.4  # share of the largest nodal mass: lighter nodes are solved for directly
 SHIFT = 1.0e-9  # on the diagonal of the scaled block that is factorised: nodes of a single particle make it singular
-EXTRA_STEPS = 60  # steps of conjugate gradients after which the block is factorised anew
+EXTRA_STEPS = 60  # steps of conjugate gradients after which the block is factorised again
 MOST_STEPS = 600
 SETTLING = {2: 20, 3: 5}  # solutions for layers on a slope, by dimension
 

@@ -75,7 +75,7 @@ class ContactOperator:
         self.traction = np.zeros((len(self.touching), dimension))
         """Shear traction q [Pa], shape [M, D]."""
         self.normals, self.frictions = np.zeros((weights.shape[1], dimension)), np.zeros(weights.shape[1])
-        """Of the solids that hold nodes, shapes [n, D] and [n]; `fixed_components` finds them."""
+        """Normals and frictions of the solids that hold nodes, [n, D] and [n]; `fixed_components` finds them."""
         self.across_axes = np.zeros((weights.shape[1], dimension), bool)
         """Components of nodes held by faces across an axis, [n, D]; `fixed_components` finds these, too."""
 
@@ -114,7 +114,7 @@ class ContactOperator:
         return np.asarray(scale[:, None] * traction)
 
     def fixed_components(self, scene: Scene, nodes: Integers) -> NDArray[np.bool_]:
-        """Which components of `nodes`, indices of shape [n, D], solids hold, shape [n, D].
+        """The components of `nodes`, indices of shape [n, D], that solids hold, shape [n, D].
 
         Faces across an axis hold that component if they hold it completely: held in part, it gives way in the run until
         its particles bear it. Oblique faces hold all components from a share of half on, since such a node lies deep,

@@ -314,8 +314,8 @@ def gradient(
     step: float,
     known: Mapping[tuple[int, float], Booleans] | None = None,
 ) -> Floats:
-    """Of function(positions) [..., N] by differences over `step` [m] where it is known either way; [..., N, D]. known:
-    of an axis and a side, 1 or -1, where it is that way, [N]."""
+    """Gradient of function(positions) [..., N] by differences over `step` [m], central where possible; [..., N, D].
+    known: for an axis and a side, 1 or -1, where the function is known on that side, [N]."""
     here, slopes, everywhere = function(positions), [], np.ones(len(positions), bool)
     for axis, direction in enumerate(step * np.eye(positions.shape[1])):
         ends = [function(positions + side * direction) for side in (-1.0, 1.0)]

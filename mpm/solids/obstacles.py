@@ -228,7 +228,7 @@ def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: f
 
 
 def covered_sides(window: Window, domain: Domain, solid: ContactSurface, *, cutoff: float) -> NDArray[np.int32]:
-    """Of each node of a window the sides of the box that a solid covers, as bits, shape [C]."""
+    """For each node of a window, the sides of the box that a solid covers, as bits, shape [C]."""
     shape, cell = node_shape(domain), domain.cell
     covered = np.zeros(window.shape, np.int32)
     for axis, side in itertools.product(range(len(shape)), (0, 1)):

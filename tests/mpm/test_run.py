@@ -327,5 +327,5 @@ def test_memory_holds_one_frame_of_those_in_a_file(tmp_path: Path) -> None:
         assert batch.record[0]["positions"].size == whole.positions.size / 57
         assert batch.positions.size == 1
         refused(simulate, OPEN, record=WITH_FIELDS, file=file, said="file: expected only positions")
-        refused(simulate_each, [OPEN, OPEN], file=file, said="file: expected one scene")
+        refused(simulate_each, [OPEN, OPEN], file=file, said="file: expected a single scene")
     assert footprint(OPEN, in_file=True).bytes <= footprint(OPEN).bytes - whole.positions.nbytes

@@ -136,7 +136,7 @@ def test_a_stage_that_is_none_is_refused_with_its_key(stage: dict[str, Any], sai
 def test_times_ascend_and_the_adjoint_says_no() -> None:
     settled, first = Stage(time="settled", cohesion=1.0), Stage(time=0.2, cohesion=0.5)
     refused(staged, settled, first, said="stages[1].time: expected times in ascending order, then 'settled'")
-    said = "stages: expected a scene without stages, of which the adjoint has no reverse"
+    said = "stages: expected a scene without stages, which the adjoint does not cover"
     refused(gradient, staged(first), lambda x, v: (0.0, 0.0 * x, None), said=said)
 
 

@@ -145,7 +145,7 @@ def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys
     assert run(dataset, tmp_path / "slower", *begin, "--rest-speed", "0.02") == 0
     assert checkpoint.load(tmp_path / "slower" / "best.safetensors").simulator.settings.rest_speed == 0.02
     assert run(dataset, tmp_path / "third", *begin, "--history", "2") == 2
-    assert "other is history" in capsys.readouterr().err
+    assert "these differ: history" in capsys.readouterr().err
 
 
 def test_weights_that_no_update_improves_stay(
