@@ -13,8 +13,8 @@ from datasets import lazily
 # Torch reads both when it is loaded, so they must precede it.
 # Huge pages for large tensors: page faults dominate otherwise (2.5 times the time of a step).
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
-# One thread: on a thousand particles a second one gains a fifth where its core is free, and where it is busy a step
-# took 200 times longer, threads spinning at their barriers.
+# One thread: on a thousand particles a second thread gains a fifth if its core is free. If the core was busy, a step
+# took 200 times longer, because threads spin at their barriers.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
-"""The card of a surrogate: what it is, what it was trained on, how well it does, and whether a scene is within.
+"""The card of a surrogate: its settings, its training data, its errors, and whether a scene lies in its training range.
 
-A training leaves `best.json` beside its weights `best.safetensors`, with the range of each quantity (`gns.ranges`) in
-each dataset; outside of all ranges the error is unknown. `python -m gns.score DATASET... --model MODEL --keep` adds
+A training writes `best.json` beside its weights `best.safetensors`, with the range of each quantity (`gns.ranges`) in
+each dataset; outside these ranges the error is unknown. `python -m gns.score DATASET... --model MODEL --keep` adds
 scores and the calibration of the bands.
 """
 
@@ -22,7 +22,7 @@ from gns.surroundings.units import Units
 if TYPE_CHECKING:
     from gns.simulator import Simulator
 
-LEVELS = (0.5, 0.8, 0.95)  # of the bands that it has quantiles for
+LEVELS = (0.5, 0.8, 0.95)  # for which a card has quantiles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,17 +34,17 @@ class Calibration(Record):
     profile: dict[str, float]
     """Level -> quantile of the profile's error over the extent [-]."""
     flows: int
-    """Number of flows that it was found on."""
+    """Number of flows that the calibration comes from."""
     errors: dict[str, float] = field(default_factory=dict)
-    """Error (`gns.score.Score`) -> its mean amount over these flows; without those that are not known."""
+    """Error (`gns.score.Score`) -> its mean amount over these flows; unknown errors are left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dataset(Record):
-    """What a model was trained on: a definition or a folder."""
+    """A training dataset of a model: a definition or a folder."""
 
     scenes: int
-    """For training."""
+    """Number of scenes for training."""
     cells_across: Range
     """Fewest and most cells of the MPM over the length of the released body."""
     ranges: dict[str, Range]
@@ -58,29 +58,29 @@ class Training(Record):
     """How a model was made."""
 
     command: str
-    """What began the last training."""
+    """The command of the last training."""
     seed: int | None
-    """Of its weights and samples."""
+    """Seed of its weights and samples."""
     updates: int | None
     """Updates of the weights in all; None where the model does not say."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Card(Record):
-    """What there is to know of a model."""
+    """All that is stored about a model."""
 
     settings: ModelSettings
     features: dict[str, int]
-    """Features of a particle in their order -> how many numbers."""
+    """Feature of a particle, in order -> how many numbers it has."""
     normalisation: dict[str, float]
     """Scales of displacement and acceleration [m per step], mean and standard deviation of tan(phi) [-]."""
     training: Training
     licence: str
-    """Of the weights."""
+    """Licence of the weights."""
     scores: str
     """Tables in Markdown of whole rollouts, by `python -m gns.score`; empty where none were given."""
     datasets: dict[str, Dataset]
-    """Definition or folder -> what it holds."""
+    """Definition or folder -> its content."""
 
     @property
     def ranges(self) -> dict[str, Range]:
@@ -93,7 +93,7 @@ class Card(Record):
         return union
 
     def calibration(self, scene: Scene, level: str = "0.95") -> Calibration | None:
-        """The narrowest at `level` of the datasets whose ranges hold `scene`, else the widest; None where none is."""
+        """The narrowest at `level` among datasets whose ranges contain `scene`, else the widest; None if none."""
         bands = [(dataset.ranges, dataset.calibration) for dataset in self.datasets.values() if dataset.calibration]
         if holding := [band for ranges, band in bands if not outside(scene, ranges)]:
             return min(holding, key=lambda band: band.front[level])
@@ -108,7 +108,7 @@ class Card(Record):
 def describe(
     simulator: "Simulator", provenance: Mapping[str, Any], scenes: Mapping[str, Sequence[Scene]], scores: str = ""
 ) -> Card:
-    """The card of a model of this history that was trained on these scenes, by definition or folder."""
+    """The card of a model with this history, trained on these scenes (by definition or folder)."""
     from gns.network.features import NODES
 
     datasets = {}
@@ -134,7 +134,7 @@ def card_path(weights: Path) -> Path:
 
 
 def read(weights: Path) -> Card | None:
-    """The card beside a model's file; None where there is none. Raises InputError, which names the file."""
+    """The card beside a model's file; None if there is none. Raises InputError, which names the file."""
     path = card_path(weights)
     try:
         data = read_json(path)
@@ -153,10 +153,10 @@ def warning(weights: Path, scene: Scene) -> str | None:
     if card is None:
         return f"{weights.name} has no card beside it: its training range is unknown"
     reasons = outside(scene, card.ranges)
-    return f"{weights.name} is outside of its training range: {'; '.join(reasons)}" if reasons else None
+    return f"{weights.name} lies outside its training range: {'; '.join(reasons)}" if reasons else None
 
 
 def total_updates(provenance: Mapping[str, Any]) -> int:
-    """Updates of the weights in all: of a training and of those that it began with."""
+    """All updates of the weights: those of a training and of the models that it began with."""
     begin = provenance.get("begin")
     return int((provenance.get("log") or {}).get("updates", 0)) + (total_updates(begin) if begin else 0)

@@ -5,7 +5,7 @@
 | `settings`          | `gns.settings.ModelSettings`                              |
 | `provenance`        | command, seed, datasets, minutes and scores that made the weights |
 
-A network is built without memory of its own: what it has is that of the tensors in the file.
+A network is built without memory of its own; it uses the tensors read from the file.
 """
 
 import json
@@ -28,7 +28,7 @@ from gns.simulator import Simulator
 from gns.surroundings.forces import Normalisation
 
 WHAT = "whole weights of a model"
-FORMAT = "4"  # raised when files get another layout
+FORMAT = "4"  # changes with the layout of the file
 
 
 @dataclass(frozen=True, kw_only=True)

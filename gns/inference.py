@@ -23,7 +23,7 @@ from gns.surroundings.state import in_model_units
 
 
 def load(model: str | Path) -> Simulator:
-    """A trained simulator with frozen weights, of a file or a shipped name such as `flow2d`. Raises InputError."""
+    """A trained simulator with frozen weights, from a file or a shipped name such as `flow2d`. Raises InputError."""
     return checkpoint.load(model_path(model)).simulator
 
 
@@ -40,15 +40,15 @@ def simulate(
 
         trajectory = gns.simulate("column-tall-42")
         trajectory.positions[-1]                    # the deposit [m], shape [N, D]
-        trajectory.volume                           # what each particle stands for [m^D], shape [N]
+        trajectory.volume                           # that each particle represents [m^D], shape [N]
 
-    scene: a scene, the path of one in TOML, or the name of a shipped one; model: a simulator, or a network of one's own
-    (`gns.simulator.StepModel`), its file, or the name of a shipped one, that of the scene's dimension where absent;
-    start: a run of the scene by the MPM, from whose last frame the rollout goes on, where absent it begins at time 0;
-    threads: of torch; device: where the model runs; progress: show a bar.
+    scene: a scene, the path of one in TOML, or the name of a shipped one; model: a simulator, your own network
+    (`gns.simulator.StepModel`), a model's file or a shipped name; by default the shipped model for the scene; start: an
+    MPM run of the scene, from whose last frame the rollout continues; by default it begins at time 0; threads: of
+    torch; device: where the model runs; progress: show a progress bar.
 
     Returns the trajectory at the model's step, the frames of `start` included; its summary has what
-    `python -m gns.rollout` writes. Raises InputError, and WorkFailed where positions are no numbers.
+    `python -m gns.rollout` writes. Raises InputError, and WorkFailed if positions are not finite.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
     model = shipped(scene) if model is None else model
@@ -67,7 +67,7 @@ def simulate(
         with torch.no_grad():
             stands = bool(simulator.moment(*in_model_units(there.state, there.conditions)).stands().all())
         if not stands:
-            message = "the surrogate leaves a mass at rest that its bed is too smooth or too steep to hold: ask the MPM"
+            message = "the surrogate predicts rest on a bed too smooth or too steep to hold the mass: ask the MPM"
             warnings.warn(message, stacklevel=2)
     summary: dict[str, Any] = {**measures.extents(scene, positions[-1], volume), "steps": initial.steps}
     summary |= {"particles": len(initial.indices), "wall_s": wall, "device": str(device)}
@@ -86,20 +86,20 @@ def simulate(
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """The deposit of a flow, and how far the MPM's may be from it."""
+    """The predicted deposit of a flow, and how far the MPM's deposit may be from it."""
 
     deposit: NDArray[np.floating] = field(repr=False)
     """Positions of the particles [m], shape [n, D]."""
     front: float
     """Front of that deposit [m]."""
     extent: float
-    """From its rear to its front [m]."""
+    """Distance from its rear to its front [m]."""
     half_width: float
-    """The MPM's front is within this distance of it, at the level asked for [m]."""
+    """The MPM's front is within this distance of `front`, at the level asked for [m]."""
     profile_error: float
-    """Distance along x of equal shares of the two deposits, rms, at most, at that level [m]."""
+    """Bound at that level on the rms distance along x between equal shares of the two deposits [m]."""
     warning: str | None = None
-    """Why it may not be: the scene is outside of the training data."""
+    """Why these bounds may not hold: the scene lies outside the training range."""
 
 
 def predict(
@@ -109,13 +109,13 @@ def predict(
     level: float = 0.95,
     calibration: card.Calibration | None = None,
 ) -> Prediction:
-    """Roll out a scene, with how far the MPM may be by flows that training never saw (`gns.score`).
+    """Roll out a scene, with error bands of flows that training never saw (`gns.score`).
 
         prediction = gns.predict("column-tall-42", level=0.95)
-        prediction.front, prediction.half_width     # [m]; 95 of 100 fronts of the MPM are within
+        prediction.front, prediction.half_width     # [m]; 95 of 100 MPM fronts lie within the band
 
-    scene, model: as `simulate` takes them; level: one of `gns.card.LEVELS`; calibration: that of the model's card where
-    absent, of a network of one's own from `gns.score.calibrated`. Raises InputError.
+    scene, model: as in `simulate`; level: one of `gns.card.LEVELS`; calibration: by default that of the model's card;
+    for your own network, the result of `gns.score.calibrated`. Raises InputError.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
     model = shipped(scene) if model is None else model
@@ -125,7 +125,7 @@ def predict(
     if calibration is None and described is not None:
         calibration = described.calibration(scene, key)
     if calibration is None:
-        message = "expected a calibration, by gns.score.calibrated or on the model's card by python -m gns.score --keep"
+        message = "expected a calibration, from gns.score.calibrated or on the card, where gns.score --keep writes it"
         raise InputError(message, where="" if path is None else str(card.card_path(path)), key="calibration")
     rollout = simulate(scene, model=model)
     rear, front = measures.ends(rollout.positions[-1], rollout.volumes)

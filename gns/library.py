@@ -6,12 +6,12 @@ from datasets.errors import InputError
 from datasets.scene.parts import SceneLayout
 
 WEIGHTS = Path(__file__).parent / "weights"
-ENDING = ".safetensors"  # of the file of a model
-BEST = f"best{ENDING}"  # what a training leaves in its folder: the model to use
+ENDING = ".safetensors"  # suffix of a model's file
+BEST = f"best{ENDING}"  # the model to use, in the folder of a training
 
 
 def shipped(scene: SceneLayout) -> Path:
-    """The model that is used for a scene where none is named: in 2D, in 3D, and on terrain in 3D."""
+    """The default model for a scene: one in 2D, one in 3D, and one on terrain in 3D."""
     terrain = any(solid.kind == "terrain" for solid in scene.solids)
     name = "flow2d" if scene.dimension == 2 else "terrain3d" if terrain else "obstacle3d"
     return WEIGHTS / f"{name}{ENDING}"
@@ -24,7 +24,7 @@ def models() -> list[Path]:
 def model_path(model: str | Path) -> Path:
     """The file of a model: its path, the folder of its training, or the name of one that ships, such as flow2d.
 
-    Raises InputError where there is none.
+    Raises InputError if there is none.
     """
     named, path = WEIGHTS / f"{model}{ENDING}", Path(model)
     if path.is_dir():

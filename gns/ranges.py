@@ -1,8 +1,8 @@
-"""The quantities whose ranges bound a surrogate's validity, without units as the model sees them.
+"""The quantities whose ranges bound a surrogate's validity, dimensionless as the model sees them.
 
-With length l of the released body, gravity g and density rho (`gns.surroundings.units.Units`), lengths are over l,
-speeds over sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is within the training data, or outside,
-at any size.
+With length l of the released body, gravity g and density rho (`gns.surroundings.units.Units`), lengths are divided by
+l, speeds by sqrt(g l), times by sqrt(l / g) and stresses by rho g l. Whether a scene lies in the training range does
+not depend on its size.
 """
 
 import math
@@ -21,19 +21,19 @@ from gns.settings import ModelSettings
 from gns.surroundings.units import Units
 
 MARGIN = 0.1  # admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale
-SMALLEST = 1.0e-3  # tangent of an angle, or length over l, below which logarithms do not fall further [-]
-GROUND_SPACING = 0.05  # distance between two elevations of which the steepness of terrain is taken, over l [-]
+SMALLEST = 1.0e-3  # tangent of an angle, or length over l, at which logarithms are cut off [-]
+GROUND_SPACING = 0.05  # distance over which the steepness of terrain is measured, over l [-]
 
 Range = tuple[float, float]
 
 
 def logarithm(value: float) -> float:
-    """ln x, the scale of what varies by factors; that of `SMALLEST` for all that is smaller."""
+    """ln x, the scale of quantities that vary by factors; values below `SMALLEST` count as `SMALLEST`."""
     return math.log(max(value, SMALLEST))
 
 
 def logarithm_of_tangent(degrees: float) -> float:
-    """ln tan(phi): sand of 5 degrees is to that of 8 what a friction of 0.09 is to one of 0.14."""
+    """ln tan(phi): angles of 5 and 8 degrees are as far apart as frictions of 0.09 and 0.14."""
     return logarithm(math.tan(math.radians(degrees)))
 
 
@@ -41,18 +41,18 @@ def logarithm_of_tangent(degrees: float) -> float:
 class RangedQuantity:
     """A quantity of a scene whose range bounds a surrogate's validity."""
 
-    values: Sequence[float]  # in its unit; none where the scene has no such thing
+    values: Sequence[float]  # in its unit; empty if the scene does not have the quantity
     unit: str = ""
     below: bool = True  # whether a smaller value than those of the training data is outside
     above: bool = True  # whether a larger one is
-    scale: Callable[[float], float] = float  # increasing function of a value, of which the width of its range is taken
+    scale: Callable[[float], float] = float  # increasing function; the width of a range is measured on it
 
 
-ABSOLUTE = ("length", "density", "gravity")  # what a model that scales its scenes does not see
+ABSOLUTE = ("length", "density", "gravity")  # hidden from a model that scales its scenes
 
 
 def quantities(scene: Scene) -> dict[str, RangedQuantity]:
-    """Those of a scene with gravity."""
+    """The quantities of a scene with gravity."""
     body, masses, baffles = Units.of_body(scene), scene.masses, scene.baffles
     sand = [scene.material_of(mass) for mass in masses]
     layers = list(zip(masses, sand, strict=True))
@@ -83,13 +83,13 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
         "poisson": ranged(material.poisson for material in sand),
         "dilation_deg": angles(material.dilation_deg for material in sand),
         "softening_length": lengths(material.softening_length for material in sand),
-        # Of an elastic stress nu / (1 - nu).
+        # For an elastic initial stress nu / (1 - nu).
         "k0": ranged(
             material.poisson / (1.0 - material.poisson) if isinstance(mass.k0, str) else mass.k0
             for mass, material in layers
         ),
         "barriers": ranged([sum(mass.release is not None for mass in masses) or None]),
-        # Where a scene chooses what it would not have by itself.
+        # Only if the scene differs from its default.
         "volume_correction": ranged([None if chosen == remembers_gaps(by_itself) else chosen]),
         "relaxation_time": ranged([scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)], "sqrt(cell / g)"),
         "floor_friction": ranged([coefficient(scene.floor_friction)]),
@@ -140,8 +140,8 @@ def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], lis
 
 
 def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Range]:
-    """Least and greatest value of each quantity over `scenes`; without those that they have none of. Particles may be
-    as far apart as a cell of the model is long: it follows one of each cell."""
+    """Least and greatest value of each quantity that `scenes` have. Particles may be as far apart as a cell of the
+    model is long, since the model follows one per cell."""
     gathered: dict[str, list[float]] = {}
     for scene in scenes:
         for name, quantity in quantities(scene).items():
@@ -153,7 +153,7 @@ def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Ran
 
 
 def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
-    """The quantities of `scene` outside of `ranges`: each with its value, the range and by how much it is outside."""
+    """The quantities of `scene` outside `ranges`, each with its value, its range and the distance to it."""
     if scene.gravity <= 0.0:
         return ["gravity 0 (none in the training data)"]
     outliers = []

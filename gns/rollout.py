@@ -25,18 +25,18 @@ def rollout(
     device: Literal["cpu", "cuda"] = "cpu",
     vtk: bool = False,
 ) -> None:
-    """Run a scene with the learned simulator; leaves OUT/trajectory.npz and OUT/summary.json.
+    """Predict a scene with the learned simulator; write OUT/trajectory.npz and OUT/summary.json.
 
     Args:
         scene: Path of a scene in TOML, or the name of a shipped one.
         out: Folder for the results.
-        model: The model's file or the name of a shipped one; the shipped one for scenes in 2D or in 3D unless given.
-        start: Trajectory of the MPM from whose last frame the rollout continues, not from the release.
-        threads: Threads of torch.
-        device: Where the model runs.
-        vtk: Write a series for ParaView to OUT/vtk too.
+        model: The model's file or the name of a shipped one; unless given, the shipped one for the scene's dimension.
+        start: MPM trajectory; the rollout continues from its last frame instead of starting at the release.
+        threads: Number of torch threads.
+        device: Device that the model runs on.
+        vtk: Also write a series for ParaView to OUT/vtk.
     """
-    # Here, because torch takes seconds, which --help should not.
+    # Imported here, so that --help need not load torch, which takes seconds.
     import torch
 
     from gns.inference import load, simulate
@@ -45,14 +45,14 @@ def rollout(
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("expected a GPU that torch can use, there is none", key="--device")
     kept = start is None or (out / "trajectory.npz").resolve() != trajectory_file(start).resolve()
-    require(kept, "--out", "a folder other than that of --start, whose frames stay", out)
+    require(kept, "--out", "a folder other than that of --start, whose frames must stay", out)
     read = read_scene(scene)
     path = model_path(model or shipped(read))
     simulator = load(path)
     frames = None if start is None else read_trajectory(start)
-    # A run of the first frames alone is cut short; all else must agree.
+    # A run of only the first frames has a shorter duration; all else must agree.
     if frames is not None and dataclasses.replace(frames.scene, duration=read.duration) != read:
-        raise InputError(f"expected the frames of {scene}, they are of another scene", where=str(start))
+        raise InputError(f"expected the frames of {scene}, these belong to another scene", where=str(start))
     try:
         with naming(Path(scene)):
             check(read, simulator.settings)

@@ -1,11 +1,11 @@
-"""How good a model is: whole rollouts of held-out flows. `python -m gns.score DATASET... --model MODEL`.
+"""Score a model by whole rollouts of held-out flows: `python -m gns.score DATASET... --model MODEL`.
 
-A prediction (`gns.predict`) is within the share q of the extent of its deposit with a probability of at least `level`,
-by the absolute errors e over the extent on n held-out flows (split conformal prediction, Angelopoulos & Bates,
-Conformal prediction: a gentle introduction, Foundations and Trends in Machine Learning 16, 2023, chapter 1):
+The error of a prediction (`gns.predict`) is at most q times the extent of its deposit with a probability of at least
+`level`. With e the absolute errors over the extent on n held-out flows (split conformal prediction, Angelopoulos &
+Bates, Conformal prediction: a gentle introduction, Foundations and Trends in Machine Learning 16, 2023, chapter 1):
 
-    q = the ceil((n + 1) level)-th smallest e        where there are so many: whatever their distribution
-    q = rms(e) t_n((1 + level) / 2)                  of fewer flows: Gaussian errors of unknown variance, by Student
+    q = the ceil((n + 1) level)-th smallest e        for n large enough; any distribution
+    q = rms(e) t_n((1 + level) / 2)                  for fewer flows; Gaussian errors of unknown variance (Student's t)
 """
 
 import math
@@ -39,12 +39,12 @@ class Score(measures.Errors):
     released: bool
     """Whether the flow starts at rest."""
     at_wall: bool
-    """Whether a wall holds the MPM's front, which then says little of the model's."""
+    """Whether a wall stops the MPM's front, which then says little about the model's front."""
 
 
 def evaluate(simulator: "StepModel", flows: "Sequence[Flow]") -> list[Score]:
-    """Compare rollouts of `flows` by Talus's network or another from their starts with all particles of the flows."""
-    # Here, because torch takes seconds, which --help should not.
+    """Compare rollouts of `flows` from their starts, by Talus's network or another, with all particles of the flows."""
+    # Imported here, so that --help need not load torch, which takes seconds.
     import torch
 
     from gns.simulator import Simulator, checked, unroll
@@ -76,13 +76,13 @@ def evaluate(simulator: "StepModel", flows: "Sequence[Flow]") -> list[Score]:
 
 
 def validation_score(scores: Sequence[Score]) -> float:
-    """Mean of |front| + profile + thickness [-]; without the last a network whose sand lies flat would be the best."""
+    """Mean of |front| + profile + thickness [-]; without thickness, a network whose sand lies flat would score best."""
     return float(np.mean([abs(score.front) + score.profile + score.thickness for score in scores]))
 
 
 def calibrated(scores: Sequence[Score]) -> Calibration:
-    """The calibration by scores of flows that no training saw; those whose front a wall holds count where all are so. A
-    wall holds the model's front where it holds the MPM's: such flows would make the bands of all others too narrow."""
+    """The calibration by scores of flows that no training saw. Flows whose front a wall stops count only if all are
+    such: the wall stops the model's front at the same place, which would make all other bands too narrow."""
     counted = [flow for flow in scores if not flow.at_wall] or scores
     errors = [np.sort([abs(getattr(flow, name)) for flow in counted]) for name in ("front", "profile")]
     front, profile = ({f"{level:g}": quantile(ordered, level) for level in LEVELS} for ordered in errors)
@@ -100,12 +100,12 @@ def quantile(errors: NDArray[np.float64], level: float) -> float:
 
 
 def table(scores: Sequence[Score]) -> str:
-    """Markdown: mean amounts and the worst over flows released at rest and moving ones; fronts free of walls alone."""
+    """Markdown: mean and worst errors of flows released at rest and of moving ones; without fronts stopped by walls."""
     rows = []
     for title, released in (("released at rest", True), ("moving", False)):
         if group := [score for score in scores if score.released == released]:
             held = sum(score.at_wall for score in group)
-            # A front that a wall holds is as right of any model.
+            # Every model is right about a front that a wall stops.
             free = [replace(score, front=math.nan) if score.at_wall else score for score in group]
             rows.append({"start": title, "flows": len(group), "held by a wall": held} | measures.summary(free))
     return markdown_table(rows, "keys", "github") + "\n"
@@ -115,11 +115,11 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
     """Score a model by whole rollouts.
 
     Args:
-        datasets: Folders that `python -m mpm.generate` made.
+        datasets: Dataset folders made by `python -m mpm.generate`.
         model: The model's file, or the name of a shipped one.
         split: train, valid or test.
-        threads: Threads of torch.
-        keep: Write the table and the error bands, which the flows of the valid split give, to the model's card.
+        threads: Number of torch threads.
+        keep: Write the table, and error bands from the flows of the valid split, to the model's card.
     """
     import torch
 
@@ -147,11 +147,11 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
     if described is not None:
         scores: dict[str, list[Score]] = {}
         for dataset in datasets:
-            # Folders of a name are parts of one dataset.
+            # Folders of the same name are parts of one dataset.
             scores.setdefault(dataset.name, []).extend(scored(dataset, "valid"))
         bands = {name: calibrated(group) for name, group in scores.items()}
         card.write(path, replace(described, scores=text).keeping(bands))
-        print(f"bands by {sum(band.flows for band in bands.values())} flows are on {card.card_path(path)}")
+        print(f"wrote bands by {sum(band.flows for band in bands.values())} flows to {card.card_path(path)}")
 
 
 if __name__ == "__main__":

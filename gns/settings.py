@@ -1,4 +1,4 @@
-"""Settings: what a checkpoint needs to build its model again, and how a model is trained. Nothing here needs torch."""
+"""Settings: those that a checkpoint needs to rebuild its model, and those of a training. Nothing here needs torch."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -34,13 +34,12 @@ class ModelSettings(Record):
     history: Count = 3
     """Past displacements among the node features."""
     body_length: Positive | None = None
-    """Length of a released body in the training data [m], the root of its volume, to which scenes are scaled
-    (`gns.surroundings.units.Units`); without it scenes run at their own size."""
+    """Length of a released body in the training data [m], the root of its volume. Scenes are scaled to it
+    (`gns.surroundings.units.Units`); without it they run at their own size."""
     density: Positive = 1800.0
     """Density in the training data [kg/m^3]."""
     bed_friction: bool = True
-    """Whether the basal friction above a terrain is the terrain's own, along it; else, of older models, a level
-    floor's."""
+    """Whether the basal friction on terrain is the terrain's own, along it; older models use that of a level floor."""
     rest_speed: NotNegative = 0.03
     """Speed [m/s] below which a displacement fades, as static friction; without it (0) deposits creep."""
     width: Count = 64
@@ -79,48 +78,48 @@ class TrainingSettings(Record):
     """How a model is fitted, and how long."""
 
     correct: bool = False
-    """Train the correction of whole rollouts alone (`gns.network.correction`); unroll and loss_scale mean nothing."""
+    """Train only the correction of whole rollouts (`gns.network.correction`); unroll and loss_scale have no effect."""
     rollouts: Count = 2
-    """Rollouts of each flow that a correction learns from: of other particles, in another symmetry, from any time."""
+    """Rollouts per flow that a correction learns from; particles, symmetry and start time are drawn for each."""
     minutes: Positive = 60.0
-    """Time to train [min], all parts of a resumed run together; unrolled steps and learning rate are laid over it."""
+    """Time to train [min], including all parts of a resumed run; steps and learning rate are spread over it."""
     updates: Count | None = None
     """Number of updates, in place of the minutes."""
     clock: Literal["wall", "cpu"] = "wall"
-    """What the minutes are: wall time, or time that the process computes, fair between runs on a busy machine."""
+    """How the minutes are counted: as wall time, or as CPU time, which is fair between runs on a busy machine."""
     batch: Count = 3
     """Samples per update, of each process."""
     shares: tuple[float, ...] = ()
-    """Share of the samples that each dataset gives, in their order; equal ones unless given."""
+    """Share of the samples from each dataset, in their order; equal unless given."""
     unroll: tuple[int, ...] = (1, 2, 4, 4, 8, 8, 12, 12)
     """Steps to train through; the entries share the budget equally."""
     learning_rate: Positive = 6.0e-4
     """Learning rate at the start."""
     final_learning_rate: float = 1.0e-5
-    """At the end; half a cosine in between."""
+    """Learning rate at the end; half a cosine in between."""
     warmup: int = 100
     """Updates over which the learning rate rises from zero."""
     clip: float = 1.0
     """Largest norm of the gradient."""
     loss_scale: Positive = 0.25
-    """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
+    """Errors up to this share of the accelerations' standard deviation count quadratically, larger ones linearly."""
     density_weight: NotNegative = 0.0
-    """Weight of the error of the density at the nodes of the grid after the last step, heights and volume; 0: none."""
+    """Weight of the error of the density at the grid nodes after the last step (heights and volume); 0: none."""
     first: float = 0.15
     """Share of samples that start at the release, from positions and velocities alone."""
     average: float = 0.998
-    """Decay of the running average of the weights, which is what is scored and shipped."""
+    """Decay of the running average of the weights; the average is scored and shipped."""
     validations: Count = 12
-    """Validations, equally far apart in the budget; if several, a further one scores the weights of --begin."""
+    """Number of validations, evenly spaced in the budget; if several, one more scores the weights of --begin."""
     validation_share: Annotated[float, Bounds("a share in (0, 1]", gt=0.0, le=1.0)] = 0.15
-    """Share of the minutes that validations take at most, but for the first and the last; then they are fewer."""
+    """Largest share of the minutes for validations, except the first and the last; it may reduce their number."""
     validate_flows: Count = 8
-    """Flows to roll out then, spread over the valid splits."""
+    """Flows to roll out per validation, spread over the valid splits."""
     memory_gib: Positive = 4.0
-    """Activations of unrolled steps to keep, of each process; what does not fit is computed a second time."""
+    """Memory per process for the activations of unrolled steps; those that do not fit are recomputed."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require(min(self.unroll, default=0) >= 1, "unroll", "integers of at least 1", list(self.unroll))
         some = not self.shares or (min(self.shares) >= 0.0 and sum(self.shares) > 0.0)
-        require(some, "shares", "shares of at least 0, not all of them", list(self.shares))
+        require(some, "shares", "shares of at least 0, not all of them 0", list(self.shares))

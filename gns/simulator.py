@@ -1,4 +1,4 @@
-"""The simulator: one step of a granular flow, learned; and the rollout, the loop that all who need one step through."""
+"""The simulator, a learned step of a granular flow, and the rollout, the only loop that repeats the step."""
 
 import dataclasses
 import inspect
@@ -22,25 +22,25 @@ from gns.surroundings.contact import keep_out
 from gns.surroundings.forces import FORCES, Moment, Normalisation
 from gns.surroundings.state import Conditions, State, columns, in_model_units
 
-AT_REST = 0.2  # root mean square speed of a deposit at rest over the speed of rest, at most [-]
-STANDING = 2.0  # the same of a step from rest that no known law explains (`Moment.stands`): it is an error [-]
+AT_REST = 0.2  # largest root mean square speed of a deposit at rest, over the speed of rest [-]
+STANDING = 2.0  # the same for a step from rest of a mass that can stand (`Moment.stands`): an error [-]
 P = ParamSpec("P")
 Moves = Callable[[Tensor, float], Tensor]
 
 
 class StepModel(Protocol):
-    """What a network of one's own must be: a `torch.nn.Module` that has these two. `gns.simulate`, `gns.predict`,
-    `gns.score.evaluate` and `inverse.forward.gns.GnsForward` take every such network."""
+    """The interface of a user's own network: a `torch.nn.Module` with the two members below. `gns.simulate`,
+    `gns.predict`, `gns.score.evaluate` and `inverse.forward.gns.GnsForward` accept every such network."""
 
     settings: ModelSettings
     """Its dimension, its step, which particles it follows (`cell`, `particles_per_cell`), how many of their past
-    displacements it needs (`history`), and the length and density of its training data; the other settings are those of
-    `Simulator` alone."""
+    displacements it needs (`history`), and the length and density of its training data; only `Simulator` uses the other
+    settings."""
 
     def forward(self, state: State, conditions: Conditions, /) -> State:
-        """One step of N particles, all of it in the units of the model, by `advanced` outside of walls and solids."""
+        """One step of N particles in the units of the model; `advanced` keeps them out of walls and solids."""
 
-    # A module has the others.
+    # Every module has the following.
     def __call__(self, state: State, conditions: Conditions, /) -> State: ...
     def to(self, device: torch.device | str, /) -> Self: ...
     def parameters(self) -> Iterator[nn.Parameter]: ...
@@ -49,7 +49,7 @@ class StepModel(Protocol):
 
 
 def checked(model: Any) -> StepModel:
-    """The model, where it is a `StepModel`. Raises InputError, which says what it lacks."""
+    """The model, if it is a `StepModel`. Raises InputError, which says what it lacks."""
     name = type(model).__name__
     expected = "a torch.nn.Module with settings and forward(state, conditions) (gns.simulator.StepModel)"
     require(isinstance(model, nn.Module), "model", expected, f"one of the type {name}")
@@ -66,10 +66,10 @@ def checked(model: Any) -> StepModel:
 def advanced(
     state: State, conditions: Conditions, acceleration: Tensor, settings: ModelSettings, moves: Moves | None = None
 ) -> State:
-    """The state after a step by the equations of `Simulator`, all of it in the units of the model.
-    acceleration: without gravity, g dt^2 + s A + ... but for its first term [m per step^2], shape [N, D]; moves: the
-    share of the displacements [N, D] that is left, by these and the step's length at the speed of rest, where it is not
-    that of `moving`: a flow whose particles hardly move stops."""
+    """The state after a step by the equations of `Simulator`, in the units of the model. acceleration: a of `Simulator`
+    without gravity's g dt^2 [m per step^2], shape [N, D]; moves: gives the share of the displacements [N, D] that
+    remains, from these and from the step's length at the speed of rest; `moving` unless given. It stops a flow whose
+    particles hardly move."""
     positions, fall = state.positions, conditions.of_particles(conditions.gravity) * settings.step**2
     stopped = keep_out(positions + state.displacements[-1] + acceleration + fall, positions, conditions)
     if settings.rest_speed > 0.0:
@@ -124,7 +124,7 @@ class Simulator(nn.Module):
         return advanced(state, conditions, contact, settings, partial(self.moves, moment))
 
     def moves(self, moment: Moment, moved: Tensor, limit: float) -> Tensor:
-        """`moving`; of a flow that rested before and can lie as it does (`Moment.stands`) above a higher speed."""
+        """`moving`, but a flow that was at rest and can stay so (`Moment.stands`) moves only above a higher speed."""
         if self.training:
             return torch.ones(())
         conditions, slow = moment.conditions, AT_REST * limit
@@ -135,7 +135,7 @@ class Simulator(nn.Module):
         return torch.where(conditions.of_particles(moment.stands()), moves - starts.clamp(min=0.0), moves)
 
     def corrected(self, start: State, end: State, positions: Tensor, conditions: Conditions) -> Tensor:
-        """The way of a rollout from `start` to `end` [m], [K + 1, N, D], to where its correction, if any, moves it."""
+        """Positions of a rollout from `start` to `end` [m], [K + 1, N, D], with its correction, if any, applied."""
         if self.correction is None or len(positions) == 1:
             return positions
         return stretched(positions, self.correction(start, self.moment(end, conditions)), conditions)
@@ -147,7 +147,7 @@ class Simulator(nn.Module):
 
 def moving(displacements: Tensor, limit: float, conditions: Conditions) -> Tensor:
     """1 for particles of flows whose displacements [m], [N, D], are above `limit` [m] (rms), else 0; shape [N or 1, 1].
-    Below it the deposit is at rest, as in a run of the MPM. Positions that rest have the gradient of those before."""
+    Below it the deposit is at rest, as in a run of the MPM. Resting positions have the gradient of those before."""
     square = displacements.detach().square().sum(dim=1, keepdim=True)
     return conditions.of_particles((conditions.total(square - limit**2) > 0.0).to(square))
 
@@ -160,8 +160,8 @@ def settled(displacements: Tensor, limit: float) -> Tensor:
 
 
 def on_threads(count: int, compute: Callable[P, Tensor], *args: P.args, **kwargs: P.kwargs) -> Tensor:
-    """What `compute` returns, with so many threads of torch in it and in the backward pass through what it returns.
-    Afterwards torch has as many as before. Why few: `gns/__init__.py`."""
+    """Call `compute` with `count` threads of torch, and use as many in the backward pass through its result. Torch then
+    has as many threads as before. `gns/__init__.py` explains why few are faster."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -191,11 +191,11 @@ def unroll(
     progress: bool = False,
     corrected: bool = True,
 ) -> Tensor:
-    """Positions [m] at the start and after each step, shape [steps + 1, N, D]; all of it in the units of the scene.
-    corrected: on the way to the end by the simulator's correction, where it has one; kept_steps: the last steps that
-    keep their activations (`step_activation_bytes` each) where gradients are recorded. Other steps keep their state
-    alone, and are computed again in the backward pass, with the same result. For a gradient with respect to state or
-    conditions the weights should be frozen, as `gns.load` gives them: it is then much cheaper."""
+    """Positions [m] at the start and after each step, shape [steps + 1, N, D]; in the units of the scene. corrected:
+    apply the simulator's correction, if it has one; kept_steps: number of last steps that keep their activations
+    (`step_activation_bytes` each) if gradients are recorded. The other steps keep only their state and are recomputed
+    in the backward pass, with the same result. For a gradient with respect to state or conditions, freeze the weights,
+    as `gns.load` does: it is then much cheaper."""
     lean, length = trimming(simulator), conditions.units.length
     first, conditions = in_model_units(start, conditions)
     state, positions = first, [first.positions]
@@ -211,7 +211,7 @@ def unroll(
             require(returned == shapes, "forward", f"a State of shapes {shapes}", returned)
         positions.append(state.positions)
         if not (torch.is_grad_enabled() or before.displacements.any() or state.displacements.any()):
-            # A step that leads from a state to the same state is that of all the time to come.
+            # After a step that changes nothing, all further steps change nothing.
             positions += (steps - step - 1) * [state.positions]
             break
     moved = torch.stack(positions)
@@ -224,7 +224,7 @@ def step_activation_bytes(simulator: StepModel, state: State, conditions: Condit
     """Memory of a step's activations until the backward pass [bytes]: each storage once, without weights and inputs."""
     given = [*simulator.parameters(), *simulator.buffers(), conditions.friction, conditions.cohesion, conditions.volume]
     excluded = {tensor.untyped_storage().data_ptr() for tensor in given}
-    # By address, with the storage itself: that of one which is freed could be another's.
+    # By address, with the storage itself: the address of a freed storage could be reused.
     saved: dict[int, UntypedStorage] = {}
 
     def keep(tensor: Tensor) -> Tensor:

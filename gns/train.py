@@ -26,20 +26,20 @@ def train(
     """Train a graph network simulator on trajectories of the MPM.
 
     Leaves OUT/best.safetensors (the model to use) with its card OUT/best.json, OUT/last.pt (what --resume continues),
-    OUT/log.csv, OUT/log.png and OUT/scores.md. Ctrl-C ends the update in progress and leaves OUT/last.pt. On several
-    GPUs or processes: torchrun --nproc-per-node N -m gns.train ...
+    OUT/log.csv, OUT/log.png and OUT/scores.md. Ctrl-C finishes the update in progress and leaves OUT/last.pt. On
+    several GPUs or processes: torchrun --nproc-per-node N -m gns.train ...
 
     Args:
-        datasets: Folders that `python -m mpm.generate` made.
+        datasets: Dataset folders made by `python -m mpm.generate`.
         out: Folder of the run.
         resume: Continue from OUT/last.pt; give the other flags again.
-        begin: A model to begin with instead of random weights, a file or the name of a shipped one. Its normalisation
-            stays, and its settings; where any are given, all must be its own but for --rest-speed.
+        begin: A model to begin with instead of random weights: a file or the name of a shipped one. It keeps its
+            normalisation and its settings; if settings are given, all but --rest-speed must equal its own.
         seed: Seed of the weights and of the samples.
-        threads: Threads of torch.
-        device: cpu or cuda; a GPU where there is one unless given.
+        threads: Number of torch threads.
+        device: cpu or cuda; unless given, a GPU if there is one.
     """
-    # Here, because torch takes seconds, which --help should not.
+    # Imported here, so that --help need not load torch, which takes seconds.
     import torch
 
     from gns import checkpoint

@@ -11,7 +11,7 @@ runs = simulate_many([scene.with_friction_deg(angle) for angle in (20.0, 30.0, 4
 import os
 from typing import TYPE_CHECKING
 
-# Commands of Talus print what they found, not which libraries they found it with.
+# Talus's commands print their results, not the versions of libraries.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 
 try:

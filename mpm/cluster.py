@@ -1,11 +1,11 @@
-"""Who simulates: processes of this machine, or the workers of a Dask scheduler, which share the file system.
+"""Simulate in processes of this machine, or on the workers of a Dask scheduler, which share the file system.
 
     with connected("tcp://10.0.0.1:8786") as workers:
         trajectories = workers(scenes, record=LAST)                 # stands in for mpm.simulate_many
         for number, result in workers.finished(function, tasks):    # whichever is ready first
 
-A Dask worker that dies loses nothing but its present task, which another one makes again; so does a task that was
-broken off by an error of the network. A scene that blows up does so everywhere and is not tried again.
+If a Dask worker dies, only its current task is lost, and another worker repeats it. A task interrupted by a network
+error is repeated too. A scene that blows up would do so everywhere and is not tried again.
 """
 
 import signal
@@ -27,15 +27,15 @@ from mpm.arrays.layout import Precision
 from mpm.output.recording import ALL, Recording
 
 GRACE = 0.5
-"""Seconds to wait for a signal of one's own when a process was killed: a batch system sends it to all of a job."""
+"""Seconds to wait for this process's own signal after another was killed: a batch system signals the whole job."""
 CONNECT = 10.0
 """Seconds in which a scheduler must answer."""
 RETRIES = 2
-"""How often a task that an error broke off is tried again."""
+"""How often a task that an error interrupted is tried again."""
 PATIENCE = 3600.0
-"""Seconds in which the first worker must come: a batch system starts them one by one."""
+"""Seconds to wait for the first worker: a batch system starts them one by one."""
 QUEUED = 2
-"""Tasks for each Dask worker: the next one is there when it has finished one."""
+"""Tasks handed to each Dask worker, so that the next one is there when it finishes one."""
 
 T = TypeVar("T")
 
@@ -49,9 +49,9 @@ class Workers:
     """How many tasks to hand out at a time."""
 
     def completed(self, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, Future[T]]]:
-        """`work(*task)` of each task with its number, whichever has ended first.
+        """`work(*task)` of each task with its number, in the order in which they end.
 
-        No more are handed out than the processes can take: what an executor has queued it cannot give back on Ctrl-C.
+        No more tasks are submitted than the processes can take: an executor cannot withdraw queued tasks on Ctrl-C.
         """
         waiting, running = enumerate(tasks), dict[Future[T], int]()
         while True:
@@ -61,11 +61,11 @@ class Workers:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 if future.cancelled():
-                    raise WorkFailed("the scheduler has gone; what was finished is kept")
+                    raise WorkFailed("the scheduler has disappeared; finished work is kept")
                 yield running.pop(future), future
 
     def finished(self, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
-        """The results of `completed`; what a task raised is raised."""
+        """The results of `completed`; raises what a task raised."""
         return ((number, future.result()) for number, future in self.completed(work, tasks))
 
     def __call__(
@@ -73,7 +73,7 @@ class Workers:
     ) -> list[Trajectory]:
         """The trajectories of `scenes`, each the same to the bit as on one thread here.
 
-        Raises ScenesFailed where one blew up, and WorkFailed where there are no workers any more.
+        Raises ScenesFailed if a scene blew up, and WorkFailed if no workers are left.
         """
         from mpm.simulation import whole
 
@@ -82,8 +82,8 @@ class Workers:
 
 
 def outcome_of(scene: Scene, record: Recording, precision: Precision) -> Trajectory | WorkFailed:
-    """The trajectory of a scene on one thread, or why there is none; by a worker."""
-    # Taichi belongs to the processes that simulate: the one that directs them does not import it.
+    """Run by a worker: the trajectory of a scene on one thread, or the failure."""
+    # Only the processes that simulate import Taichi; their parent does not.
     from mpm.simulation import simulate
 
     try:
@@ -94,29 +94,29 @@ def outcome_of(scene: Scene, record: Recording, precision: Precision) -> Traject
 
 @contextmanager
 def pool(jobs: int) -> Iterator[Workers]:
-    """`jobs` processes started afresh. When the block ends early they finish their present task and begin no other."""
+    """A pool of `jobs` new processes. If the block ends early, they finish their current task and begin no other."""
     executor = ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn"), initializer=begin_worker)
     try:
         with without_main():
             yield Workers(executor=executor, width=lambda: jobs)
     except BrokenProcessPool:
         time.sleep(GRACE)
-        raise WorkFailed("a process was killed, perhaps for want of memory; try fewer jobs") from None
+        raise WorkFailed("a process was killed, perhaps for lack of memory; try fewer jobs") from None
     finally:
         executor.shutdown(cancel_futures=True)
 
 
 def begin_worker() -> None:
-    """Make a process of the pool end with its director, who alone answers a Ctrl-C: it goes to the whole terminal."""
+    """Make a process of the pool end with its parent, and ignore Ctrl-C, which the parent alone handles."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def connected(address: str) -> Iterator[Workers]:
-    """The workers of the Dask scheduler at `address`, or of that which wrote the JSON file of that name.
+    """The workers of the Dask scheduler at `address`, or of the one that wrote the JSON file of that name.
 
-    Raises InputError, and WorkFailed where no worker comes.
+    Raises InputError, and WorkFailed if no worker connects.
     """
     try:
         from distributed import Client

@@ -1,7 +1,7 @@
-"""Scenes on a GPU: every particle and every node a thread, all scenes of a batch in one launch per step.
+"""Scenes on a GPU: one thread per particle and per node, all scenes of a batch in one launch per step.
 
-The kernel is the CPU's, with blocks of one particle and atomic sums; the arrays stay on the device from the first frame
-to the last, and per step only the call itself crosses over.
+The kernel is that of the CPU, with blocks of one particle and atomic sums. The arrays stay on the device from the first
+frame to the last; per step, the host only launches the kernel.
 """
 
 from collections.abc import Callable
@@ -73,7 +73,7 @@ def upload(arguments: dict[str, Array], features: Features) -> dict[str, ti.Ndar
     device: dict[str, ti.Ndarray] = {}
     for name, array in arguments.items():
         if name in VIEWS:
-            # Nothing turns to rows where a block is one particle.
+            # A block of one particle needs no rows.
             device[name] = device["grid" if name == "rows" else VIEWS[name]]
             continue
         kind = {"float32": ti.f32, "float64": ti.f64, "int32": ti.i32, "int64": ti.i64}[array.dtype.name]

@@ -1,17 +1,17 @@
-"""What a run will take, before any of it is allocated: particles, nodes, frames, steps, memory and time.
+"""The size and cost of a run before anything is allocated: particles, nodes, frames, steps, memory and time.
 
     >>> print(footprint(read_scene("column-tall-42")))
     3200 particles, 107 x 107 nodes, 401 frames, 4400 steps or more
 
-The arrays of a run are those of `mpm.arrays.batch`, counted here from the scene alone; the grid, which follows the
-particles and not the box, with the room that it has at first (`mpm.arrays.layout.node_room`). What else a process holds
-is measured: Taichi with a compiled kernel (`PROCESS`), and what stands beside the state while it is filled (`BESIDE`).
+The arrays of a run (`mpm.arrays.batch`) are counted from the scene alone. The grid follows the particles, not the box,
+and counts with its initial room (`mpm.arrays.layout.node_room`). The other memory of a process is measured: Taichi with
+a compiled kernel (`PROCESS`), and temporary arrays while the state is filled (`BESIDE`).
 
     >>> print(expected(read_scene("column-tall-42"), 1.4e9, memory=3e8))
     expected: 25 to 110 s, 286 MiB of memory
 
-Work takes a start (Taichi, the kernel's compilation) and its particle-steps, as planned, over a speed for each kind of
-scene. The range holds slow and fast machines, from cores that share their memory with many others to a core on its own.
+The time is a start (Taichi, compilation) plus the planned particle-steps over a speed for each kind of scene. The range
+covers slow and fast machines, from cores that share their memory with many others to a single core.
 """
 
 import math
@@ -34,28 +34,28 @@ from mpm.solids.obstacles import farthest, window_around
 
 PROCESS = 240 * 2**20  # bytes of a process with Taichi and a kernel
 BESIDE = 2.5  # peak over the bytes of the particles and their state
-STRESS = 4096  # bytes that an equilibrium of a mass at the start takes per particle: a factorisation
+STRESS = 4096  # bytes per particle for the initial equilibrium of a mass: a factorisation
 MOST_STEPS = 2**31 - 1  # a counter's limit; at a million particle-steps a second one particle would take half an hour
 
 SPEED = {2: 35e6, 3: 15e6}  # particle-steps a second of a processor, by dimension (`python -m validation.bench speed`)
 GPU_SPEED = {2: 350e6, 3: 120e6}  # on a GPU (`python -m validation.bench gpu`)
-SOLIDS, DOUBLE = 0.8, 0.75  # shares of the speed that are left beside solids and in f64
-SLOW, FAST = 0.4, 1.7  # speeds of machines over these: from 16 threads that wait for one memory to a thread alone
+SOLIDS, DOUBLE = 0.8, 0.75  # factors on the speed next to solids and in f64
+SLOW, FAST = 0.4, 1.7  # speeds of machines over these: from 16 threads that share one memory to a single thread
 START = {2: (1.0, 8.0), 3: (2.0, 15.0)}  # seconds of a start, from kernels that are on disk to those that are compiled
-EARLIEST = 0.5  # share of the steps after which flows are taken to rest, where runs end then
-MUCH = 10.0  # Young's modulus over what the flow needs, from which on a softer material is worth a word
+EARLIEST = 0.5  # least share of the steps after which a flow may rest, if runs end at rest
+MUCH = 10.0  # Young's modulus over what the flow needs, above which a softer material is suggested
 INVERSION = 250 * 2**20  # bytes of PyTorch and of an inversion in a process that also runs the MPM
 
 
 @dataclass(frozen=True, kw_only=True)
 class Footprint:
-    """What a run takes."""
+    """The size, memory and steps of a run."""
 
     particles: int
     nodes: tuple[int, ...]  # of the box along each axis; the grid holds those near the material
-    frames: int  # with the first
+    frames: int  # including the first
     steps: int  # at least: a frame whose particles move fast has more
-    bytes: int  # of memory, at the peak, of the whole process
+    bytes: int  # peak memory of the whole process
 
     @property
     def work(self) -> float:
@@ -76,7 +76,7 @@ def footprint(
     gpu: bool = False,
     in_file: bool = False,
 ) -> Footprint:
-    """What a run on so many `workers` takes, frames in a file or in memory. Raises InputError for an endless one."""
+    """The footprint of a run on `workers`, with frames in a file or in memory. Raises InputError for too many steps."""
     features = features_of([scene], precision, record=record, shared=workers > 1, gpu=gpu)
     substeps = substeps_per_frame(scene, [scene.material_of(mass) for mass in scene.masses])
     steps = substeps * (scene.frames - 1)
@@ -100,7 +100,7 @@ def footprint(
     )
     kept = len(record.kept(scene.frames))
     solids = len(scene.baffles) + len(scene.solids) + (2 * dimension + 1 if record.wall_forces else 0)
-    # What is smoothed is there twice.
+    # Smoothed fields are held twice.
     numbers = dimension + (2 * (dimension + features.stresses + 2) if record.fields else 0) + int(record.pore_pressure)
     recorded = 4 * count * kept * numbers + 8 * scene.frames * (len(Energy) + 2 * solids * dimension)
     size = int(sum(sizes)) + (0 if in_file else recorded)
@@ -108,7 +108,7 @@ def footprint(
 
 
 def require_memory(footprints: list[Footprint]) -> None:
-    """Raise InputError where runs side by side take more memory than is free: how much, and what to change."""
+    """Raise InputError if runs side by side need more memory than is free; it says how much, and what to change."""
     extra = sum(need.bytes - PROCESS for need in footprints)
     largest = max(footprints, key=lambda need: need.bytes)
     runs = "a run" if len(footprints) == 1 else f"{len(footprints)} runs"
@@ -117,7 +117,7 @@ def require_memory(footprints: list[Footprint]) -> None:
 
 
 def step_spoken(scene: Scene) -> str:
-    """Which step a run begins with and what sets it, before it runs; that the material may be softer, where it may."""
+    """The initial time step and what sets it, in words; with the advice to use a softer material, if one would do."""
     materials = [scene.material_of(mass) for mass in scene.masses]
     stiffest = max(materials, key=lambda material: material.wave_speed)
     wave, speed = stiffest.wave_speed, greatest_speed(scene)
@@ -135,12 +135,12 @@ def step_spoken(scene: Scene) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Expected:
-    """What work will take."""
+    """Expected time and memory."""
 
     shortest: float
     longest: float  # of the range [s]
     memory: float  # at the peak, of all processes [bytes]
-    least: bool = False  # whether it may take longer than the range: how many runs there will be is open
+    least: bool = False  # whether it may take longer than the range, because the number of runs is open
 
     def __str__(self) -> str:
         seconds = f"{'at least ' * self.least}{spoken(self.shortest, self.longest)}"
@@ -148,7 +148,7 @@ class Expected:
 
 
 def spoken(shortest: float, longest: float) -> str:
-    """A range of durations, to two digits each in the unit in which the longer one is short: `2 to 12 s`."""
+    """A range of durations in the largest suitable unit, to two digits each: `2 to 12 s`."""
     unit, size = next((pair for pair in (("h", 3600.0), ("min", 60.0)) if longest >= 2.0 * pair[1]), ("s", 1.0))
     low, high = (f"{float(f'{seconds / size:.2g}'):g}" for seconds in (shortest, longest))
     return f"{high} {unit}" if low == high else f"{low} to {high} {unit}"
@@ -166,9 +166,9 @@ def expected(
     least: bool = False,
     after: float = 0.0,
 ) -> Expected:
-    """What `work` [particle-steps] of scenes like this will take on so many processors, and `after` seconds after it.
+    """Time and memory for `work` [particle-steps] of scenes like this on `processors`, followed by `after` seconds.
 
-    until_rest: whether runs end where the flow rests; least: whether more work may follow; so it does `after`.
+    until_rest: whether runs end when the flow rests; least: whether more work may follow, as it does with `after`.
     """
     speed = processors * SPEED[scene.dimension] if arch == "cpu" else GPU_SPEED[scene.dimension]
     speed *= (SOLIDS if scene.baffles or scene.solids else 1.0) * (DOUBLE if precision == "f64" else 1.0)

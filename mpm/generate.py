@@ -1,4 +1,4 @@
-"""python -m mpm.generate DEFINITION --out DIR: simulate a dataset, one process per scene at a time."""
+"""python -m mpm.generate DEFINITION --out DIR: simulate a dataset; each process runs one scene at a time."""
 
 import sys
 from collections.abc import Iterable
@@ -24,8 +24,8 @@ from datasets.scene.particles import mass_counts
 from mpm.cluster import QUEUED, Workers, connected, pool
 from mpm.footprint import PROCESS, expected, planned
 
-MOST_JOBS = 1000  # processes of one machine
-TIMINGS = ("wall_s", "compile_s")  # keys of a summary that differ from run to run; the files of a dataset must not
+MOST_JOBS = 1000  # processes on one machine
+TIMINGS = ("wall_s", "compile_s")  # keys of a summary that differ from run to run; a dataset leaves them out
 
 
 def command(
@@ -40,17 +40,17 @@ def command(
 ) -> None:
     """Simulate the trajectories of a dataset definition with the MPM.
 
-    Running the same command again finishes what is missing. The files are the same for the same seed, whatever the
-    number of jobs.
+    Running the same command again simulates the missing trajectories. The files depend on the seed, not on the number
+    of jobs.
 
     Args:
-        definition: flow2d, columns2d, obstacle3d, baffles3d, terrain3d, paper2d, paper3d, or the path of one in TOML.
+        definition: flow2d, columns2d, obstacle3d, baffles3d, terrain3d, paper2d, paper3d, or the path of a TOML file.
         out: Folder of the dataset: train, valid, test, metadata.json.
-        count: How many trajectories, the first ones of the definition; all of them unless given.
+        count: Number of trajectories, the first ones of the definition; all unless given.
         seed: Seed of the dataset.
-        jobs: Processes that simulate; one per processor unless given.
-        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers simulate
-            instead; they need this version of Talus and the folder OUT in the same place.
+        jobs: Number of processes that simulate; one per processor unless given.
+        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file. Its workers simulate
+            instead; they need this version of Talus and the folder OUT at the same path.
     """
     if scheduler is not None and jobs is not None:
         raise InputError("expected none with --scheduler, whose workers are the jobs", key="--jobs")
@@ -69,15 +69,15 @@ def generate(
     after: float = 0.0,
     beside: float = 0.0,
 ) -> None:
-    """Simulate what is missing of a dataset in `out`, then describe it in `metadata.json`.
+    """Simulate the missing trajectories of a dataset in `out`, then describe the dataset in `metadata.json`.
 
-    In `jobs` processes, or by the workers of the Dask scheduler at an address. Prints what that will take, with `after`
-    [s] of what its caller does next and `beside` [bytes] of what that holds. Raises InputError where `out` holds other
-    trajectories than these, WorkFailed where a simulation fails.
+    Runs in `jobs` processes or on the workers of a Dask scheduler. Prints the expected time and memory, including the
+    time `after` [s] and the memory `beside` [bytes] that the caller needs. Raises InputError if `out` holds
+    trajectories of another dataset, WorkFailed if a simulation fails.
     """
     require(1 <= jobs <= MOST_JOBS, "jobs", f"at least 1 job and at most {MOST_JOBS} jobs", jobs)
     entries = definition.entries(seed=seed, count=count)
-    # Those of an inversion are read each in units of its own.
+    # Each trajectory of an inversion is read in units of its own.
     alike = definition.storage is None or not definition.storage.deposit
     if alike and len({entry.scene.frame_dt for entry in entries}) > 1:
         raise InputError(f"expected the same time between frames in all scenes of {definition.name}", key="frame_dt")
@@ -87,7 +87,7 @@ def generate(
             until_rest = definition.storage is not None and not definition.storage.deposit
             processes = jobs if scheduler is None else max(1, workers.width() // QUEUED)
             work, size = planned([entry.scene for entry in missing])
-            # The process that directs the others has no Taichi.
+            # The parent process does not load Taichi.
             size = PROCESS / 2 + beside + min(processes, len(missing)) * size
             first = missing[0].scene
             price = expected(first, work, memory=size, processors=processes, until_rest=until_rest, after=after)
@@ -95,7 +95,7 @@ def generate(
         simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
         paths = [(trajectory_path(entry, out),) for entry in entries if entry.split is Split.TRAIN]
         finished = workers.finished(statistics_of, paths)
-        # Of all trajectories together, added in their order whoever is ready first.
+        # The sum over all trajectories, in their order, whichever is ready first.
         by_number = dict(tqdm(finished, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True))
         statistics = reduce(MotionStatistics.__add__, (by_number[number] for number in range(len(paths))))
         write_json(out / "metadata.json", metadata(definition.name, entries, seed=seed, statistics=statistics))
@@ -139,8 +139,8 @@ def simulate_all(workers: Workers, entries: list[Entry], out: Path, *, total: in
 
 
 def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> None:
-    """Simulate `scene` and save its trajectory, or what `storage` says of it, to `path`; in a process of the pool."""
-    # Taichi belongs to the processes that simulate: the one that directs them does not import it.
+    """Simulate `scene` in a process of the pool; save its trajectory, or the part that `storage` keeps, to `path`."""
+    # Only the processes that simulate import Taichi; their parent does not.
     from mpm import Recording, simulate
 
     until_rest = storage is not None and not storage.deposit
@@ -157,7 +157,7 @@ def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> No
 
 
 def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
-    """Some of the particles of a trajectory of the MPM, each with the volume of those that it stands for."""
+    """A subset of the particles of an MPM trajectory, each with the volume of the particles that it represents."""
     scene = trajectory.scene
     require(trajectory.entry_time is None, "storage", "all particles of a scene with inflow", "some")
     positions, rng = trajectory.positions, np.random.default_rng(scene.seed)

@@ -4,13 +4,12 @@
     grid                 v_i* = v_i + dt (g + f_i / m_i)     `mpm.physics.grid`, then walls, solids, barriers
     grid to particles    v_p, C_p, x_p, sigma_p              `mpm.physics.particles`, `mpm.physics.stress`
 
-Many scenes: a scene runs on one thread from the first step of a call to the last: no atomics, no waiting, and the
-result is the same to the bit on any number of threads. One large scene: each worker has its own part of the particles
-and its own grid, and where the grids overlap they are summed. The number of workers, two or four for up to four
-threads, sets the order of the sums, not that of threads: the result is the same to the bit on one, two and four.
-Usually each worker has a thread. Threads wait for each other three times a step, and more often where there is water,
-so that beside another busy process two run slower than one: `mpm.simulation.Crew` then gives a thread the parts of
-several workers, with the same result to the bit.
+Many scenes: each scene runs on one thread throughout a call, without atomics or waiting; the result is the same to the
+bit on any number of threads. One large scene: each worker has its own part of the particles and its own grid; where
+grids overlap, they are summed. The order of the sums depends on the number of workers (two or four for up to four
+threads), not on the number of threads: the result is the same to the bit on one, two and four. Usually each worker has
+a thread. Threads wait for each other three times a step, and more often with water, so that two threads are slower than
+one next to another busy process. `mpm.simulation.Crew` then gives one thread the parts of several workers.
 """
 
 from collections.abc import Callable
@@ -44,7 +43,7 @@ ITERATIONS = 512
 """The fewest iterations of a loop that Taichi gives to a thread: with fewer, one thread would get the work of several,
 run it in turn, and in a shared scene wait for itself. All of a thread's work is in the first of its iterations."""
 
-SUMMED = 32  # particles over which a thread of a GPU takes a sum or a maximum of its own, before that of all threads
+SUMMED = 32  # particles that one GPU thread sums, or takes the maximum of, before all threads are combined
 
 
 class Phase(Enum):
@@ -58,10 +57,10 @@ class Phase(Enum):
 
 @ti.func
 def step(thread, scene, dt, kappa, moved, arrays: ti.template()):
-    """Bring a thread's part of a scene forward by a step; where a grid has no room for it, nothing changes.
+    """Advance a thread's part of a scene by a step; if a grid has no room for it, nothing changes.
 
-    moved: cells that its particles have moved at most since its columns were made. Returns the same after the step,
-    less than zero where there was no room.
+    moved: the most cells that its particles have moved since its columns were made. Returns the same after the step, or
+    a negative number if there was no room.
     """
     first, end = workers_of(thread, arrays)
     for worker in range(first, end):
@@ -92,7 +91,7 @@ def step(thread, scene, dt, kappa, moved, arrays: ti.template()):
 def advance_thread(thread, last, arrays: ti.template()):
     """Compute the frames before `last` of a thread's part of its scene; record them if it is the scene's first.
 
-    It stops before a step for which a grid of the scene has no room, and goes on from there in the next call.
+    It stops before a step for which a grid of the scene has no room; the next call continues from there.
     """
     scene = arrays.workers[thread, Worker.SCENE]
     moved = 0.0 * arrays.settings[scene, Setting.CELL] + OUTDATED
@@ -128,7 +127,7 @@ def advance_thread(thread, last, arrays: ti.template()):
 
 @ti.func
 def ends_sum(block, arrays: ti.template()):
-    """Whether a block is the last of its scene or of the SUMMED that a thread of a GPU has."""
+    """Whether a block is the last of its scene, or of the SUMMED blocks of a GPU thread."""
     last = arrays.owner.shape[0] - 1
     changes = block == last or arrays.owner[ti.min(block + 1, last)] != arrays.owner[block]
     return changes or (block + 1) % SUMMED == 0
@@ -184,7 +183,7 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
                     sums += record_block(scene, first, block, arrays)
                     if ends_sum(block, arrays):
                         add_energies(scene, first, sums, arrays)
-                        # Not zero times the sums: those of a scene that blew up are not numbers.
+                        # Not zero times the sums: in a scene that blew up these are NaN.
                         sums = ti.Vector.zero(ti.f64, ti.static(len(Energy)))
         for scene in range(arrays.offsets.shape[0]):
             if arrays.step_control[scene, StepControl.STEPS] > 0.0:
@@ -196,18 +195,18 @@ def kernel(features: Features) -> Callable[..., None]:
     """The kernel for scenes with `features`; nothing else is compiled into it.
 
     It takes the arrays of `mpm.arrays.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute
-    and record the frames before `last`, while grids have room. The others are parts of a frame, each on as many threads
-    as there are particles, for a GPU: see `mpm.device`.
+    and record the frames before `last`, while grids have room. The other phases are parts of a frame on a GPU, with one
+    thread per particle: see `mpm.device`.
     """
-    # Water would take Taichi ten seconds more in 3D, for one per cent of a step.
+    # With water, optimisation by Taichi takes ten more seconds in 3D and makes a step one per cent faster.
     return kernel_of(STEP | RECORD | DEVICE, advance, features, optimised=not features.wet)
 
 
 def compute(batch: Batch, last: int, threads: int | None = None) -> None:
-    """Compute the frames of a batch after those that are computed and before `last`, on the threads of a CPU.
+    """Compute the remaining frames of a batch before `last`, on the threads of a CPU.
 
-    threads: of a shared scene, one for each of its workers unless given; the result is the same to the bit. Where a
-    grid has no room for what is to come, the kernel returns before that step, and goes on with a larger one.
+    threads: for a shared scene, one per worker unless given; the result is the same to the bit. If a grid has no room
+    for the next step, the kernel returns before it and continues with a larger grid.
     """
     first, run = batch.computed + 1, kernel(batch.features)
     batch.offsets[:, Offset.NEXT], batch.offsets[:, Offset.DONE] = first, 0

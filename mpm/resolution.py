@@ -1,16 +1,15 @@
-"""How fine a scene must be for a given error: what `--tolerance` reads, picks and promises.
+"""Which resolution a scene needs for a given error: the choice and the promise of `--tolerance`.
 
-The error is that of one run at a resolution against a run on a grid at least twice as fine: of the front (the x that
-99.5 % of the volume is behind) or of the profile (the rms distance along x of equal shares of the two deposits),
-whichever is larger, over the extent: from the rear of the masses at the start to the front, which is the runout
-distance of a column at the left wall. The error of the thickness is said beside it, a share of another length. The
-promise is that at least nine of ten scenes like those measured keep within the tolerance: columns and thrown masses,
-dry and cohesive, damped and not. It covers the grid, the step and the chance of a jitter, not whether the material is
-right.
+The error compares a run at a resolution with a run on a grid at least twice as fine. It is the larger of two errors, of
+the front (the x that 99.5 % of the volume is behind) and of the profile (the rms distance along x of equal shares of
+the two deposits), over the extent. The extent reaches from the rear of the initial masses to the front: the runout
+distance of a column at the left wall. The error of the thickness, a share of another length, is reported separately.
+The promise is that at least nine of ten scenes like those measured stay within the tolerance: columns and thrown
+masses, dry and cohesive, damped and not. It covers grid, step and random jitter, not the choice of material.
 
-Resolution is counted in cells across the smallest side of the body that is let go, which carries over between scenes
-(docs/accuracy.md, `python -m validation.bench accuracy`, which also writes `resolution.toml` and
-tries the promise on other scenes).
+Resolution is counted in cells across the smallest side of the released body, which carries over between scenes
+(docs/accuracy.md, `python -m validation.bench accuracy`, which also writes `resolution.toml` and tries the promise on
+other scenes).
 """
 
 import dataclasses
@@ -35,12 +34,12 @@ MEASURED = Path(__file__).with_suffix(".toml")
 COVERAGE = 0.9
 """Share of scenes that a tolerance holds for."""
 ROUNDING = 1.0e-9
-"""Slack, in cells, where a whole number of them is counted."""
+"""Slack for rounding to a whole number of cells."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution(Record):
-    """How finely a scene is simulated, in units that no scene's size enters."""
+    """How finely a scene is simulated, independent of its size."""
 
     cells: float
     """Grid cells across the characteristic length of the scene [-]."""
@@ -61,12 +60,12 @@ class MeasuredResolution(Record):
     expected: float
     """Root mean square of the errors over scenes and jitters, each as a fraction of the extent [-]."""
     promised: float
-    """What one more scene stays within with probability COVERAGE, here and on all finer grids measured alike [-]."""
+    """Bound on the error of one more scene with probability COVERAGE, at this and all finer resolutions [-]."""
     particle_steps: float
     """Mean over the scenes."""
     thickness: float
-    """Error of the thickness over its largest (`datasets.flow.measures.Errors`), rms over scenes and jitters [-]; it
-    is said and not promised, for it is a share of another length."""
+    """Error of the thickness over its largest (`datasets.flow.measures.Errors`), rms over scenes and jitters [-]; it is
+    reported, not promised, because it is a share of another length."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +74,7 @@ class Resolved:
 
     scene: Scene
     measured: MeasuredResolution
-    """Of the resolution."""
+    """Error and cost of the resolution."""
     cost: float
     """Particle-steps over those of the scene as it was given [-]."""
 
@@ -97,7 +96,7 @@ class Resolved:
 
 
 def read_measured(path: Path = MEASURED) -> tuple[MeasuredResolution, ...]:
-    """The measurements of a file, of that which ships with the solver unless given."""
+    """The measurements in a file, by default the one that ships with the solver."""
     return tuple(from_mapping(MeasuredResolution, entry) for entry in read_toml(path)["measured"])
 
 
@@ -111,13 +110,13 @@ def read_tolerance(text: str) -> float:
 def resolved(scene: Scene, tolerance: float, measured: Sequence[MeasuredResolution] | None = None) -> Resolved:
     """`scene` at the cheapest resolution whose promised error is within `tolerance`, a fraction of the extent.
 
-    Only what was measured is picked, in scenes of the same dimension, never an interpolation; `measured` defaults to
-    what ships. Raises InputError for a tolerance below the best that was measured.
+    Chooses among the resolutions measured in the same dimension, without interpolation; `measured` defaults to what
+    ships. Raises InputError for a tolerance below the best that was measured.
     """
     measured = read_measured() if measured is None else measured
     candidates = [entry for entry in measured if entry.dimension == scene.dimension]
     best = min((entry.promised for entry in candidates), default=math.inf)
-    tightest = f"at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured"
+    tightest = f"at least {100 * best:.2g}% in {scene.dimension}D, the tightest measured"
     require(best <= tolerance, "--tolerance", tightest, f"{100 * tolerance:.3g}%")
     suitable = [entry for entry in candidates if entry.promised <= tolerance]
     cheapest = min(suitable, key=lambda entry: entry.particle_steps)
@@ -134,18 +133,18 @@ def with_resolution(scene: Scene, resolution: Resolution) -> Scene:
 
 
 def fitted_cell(domain: Domain, largest: float) -> float:
-    """The largest cell [m] up to `largest` [m] of which every side of `domain` is a whole number.
+    """The largest cell [m], at most `largest` [m], that divides every side of `domain`.
 
-    It divides the largest length that all sides are multiples of, found from the cells that the domain has now.
+    It is a whole fraction of the greatest common divisor of the sides, found from the present cells of the domain.
     """
     common = math.gcd(*(round(length / domain.cell) for length in domain.size)) * domain.cell
     return common / math.ceil(common / largest - ROUNDING)
 
 
 def characteristic_length(scene: Scene) -> float:
-    """The smallest side [m] of the bodies that are let go, each the box around masses that touch.
+    """The smallest side [m] of the released bodies, each the box around masses that touch.
 
-    A side that spans the box from wall to wall is no length of the flow and does not count, unless all do.
+    A side that spans the domain from wall to wall does not count, unless all sides do.
     """
     lengths: list[float] = []
     across: list[float] = []

@@ -47,33 +47,33 @@ def command(
     hdf5: bool = False,
     safety: bool = False,
 ) -> int:
-    """Simulate a scene and write its trajectory and a summary, or with --safety find its factor of safety.
+    """Simulate a scene and write its trajectory and a summary, or with --safety compute its factor of safety.
 
-    Ctrl-C and SIGTERM leave DIR/checkpoint.npz, from which the same command goes on, the same to the bit as without the
-    break.
+    Ctrl-C and SIGTERM leave DIR/checkpoint.npz. The same command then continues from it, with the same result to the
+    bit as an uninterrupted run.
 
     Args:
         scene: Path of a scene in TOML, or the name of a shipped one.
         out: Folder for trajectory.npz and summary.json.
         precision: Arithmetic of the solver; f32 unless given, or what the tolerance requires.
-        arch: Where to compute.
-        tolerance: Run at the cheapest resolution that was measured to keep front and profile within this, such as 2%.
-        every: Keep every so many frames only, and the last.
-        last_frame: Keep the last frame only.
-        fields: Record velocity, stress, pressure and plastic strain of every particle too, and forces on the walls.
+        arch: Processor to compute on.
+        tolerance: Use the cheapest resolution whose measured error of front and profile is within this, such as 2%.
+        every: Keep only every n-th frame and the last.
+        last_frame: Keep only the last frame.
+        fields: Also record velocity, stress, pressure and plastic strain of every particle, and forces on the walls.
         until_rest: End when the deposit has come to rest; the remaining frames repeat the last one.
-        vtk: Write a series for ParaView to DIR/vtk too, with the fields.
-        forces: Write the force on each solid, and on floor and walls, over time too: DIR/forces.csv and DIR/forces.png.
-        hdf5: Write DIR/trajectory.h5 instead of trajectory.npz, frame by frame while the scene runs: positions need not
+        vtk: Also write a series for ParaView, with the fields, to DIR/vtk.
+        forces: Also write the force on each solid, the floor and the walls over time, to DIR/forces.csv and .png.
+        hdf5: Write DIR/trajectory.h5 instead of trajectory.npz, frame by frame during the run: the positions need not
             fit into memory, unless fields are recorded too.
-        safety: Find the factor by which the strength may be divided before the slope moves, in some twelve runs of the
-            scene on its cells, and write DIR/safety.json in place of a trajectory.
+        safety: Compute the factor of safety, by which the strength may be divided before the slope moves, from about
+            twelve runs at the scene's cell size; write DIR/safety.json instead of a trajectory.
     """
     if safety:
         others = {"arch": arch != "cpu", "tolerance": tolerance, "every": every, "last-frame": last_frame}
         others |= {"fields": fields, "until-rest": until_rest, "vtk": vtk, "forces": forces, "hdf5": hdf5}
         if key := next((name for name, given in others.items() if given), ""):
-            raise InputError("expected none beside --safety, which takes --out and --precision alone", key=f"--{key}")
+            raise InputError("expected none beside --safety, which takes only --out and --precision", key=f"--{key}")
         with naming(Path(scene)):
             return write_safety(read_scene(scene), out, precision or "f32")
     given, precise = read_scene(scene), precision or "f32"
@@ -93,10 +93,10 @@ def command(
 
 
 def write_flow(name: str, scene: Scene, out: Path, options: "Options", *, hdf5: bool, vtk: bool, forces: bool) -> int:
-    """Simulate the scene of `name`, from a checkpoint if there is one, and write what `command` says; its status."""
+    """Simulate `scene`, from a checkpoint if there is one, and write the files of `command`; return the exit status."""
     record, precision, gpu = options["record"], options["precision"], options["arch"] != "cpu"
     workers = 1 if gpu else parts_for(particle_count(scene))
-    # Frame by frame, to HDF5.
+    # Whether frames are written one by one to HDF5.
     appended = hdf5 and not (record.fields or record.every == 0 or gpu)
     with naming(Path(name)):
         plan = footprint(scene, record=record, precision=precision, workers=workers, gpu=gpu, in_file=appended)
@@ -106,7 +106,7 @@ def write_flow(name: str, scene: Scene, out: Path, options: "Options", *, hdf5: 
     file, frames = out / "checkpoint.npz", out / f"trajectory{HDF5}"
     start = Checkpoint.load(file) if file.exists() else None
     if start is not None and start.run != described(scene, record, precision):
-        print(f"talus: {file}: of another scene, recording or precision; beginning anew", file=sys.stderr)
+        print(f"talus: {file}: of another scene, recording or precision; starting anew", file=sys.stderr)
         start = None
     if start is not None and frames.exists():
         start.arrays["positions"] = open_trajectory(frames).positions
@@ -117,7 +117,7 @@ def write_flow(name: str, scene: Scene, out: Path, options: "Options", *, hdf5: 
     print(f"{plan}; {step_spoken(scene)}; {price}", flush=True)
     with stopping() as stop:
         checkpoint = None
-        # At its end the frames of a file take their place.
+        # When this block ends, the new file of frames replaces the old one.
         with ExitStack() as stack:
             if appended:
                 options["file"] = stack.enter_context(FrameWriter(frames))
@@ -132,16 +132,16 @@ def write_flow(name: str, scene: Scene, out: Path, options: "Options", *, hdf5: 
         if checkpoint is not None:
             checkpoint.save(file)
             end_time = scene.frame_dt * checkpoint.frame
-            print(f"talus: interrupted at t = {end_time:g} s; the same command goes on from {file}", file=sys.stderr)
+            print(f"talus: interrupted at t = {end_time:g} s; the same command continues from {file}", file=sys.stderr)
             return stop.status
         if not appended:
             trajectory.save(frames if hdf5 else out / "trajectory.npz")
         summary = trajectory.summary
         write_json(out / "summary.json", summary)
-        # The folder holds one trajectory, that of this run, and what is written of it below.
+        # The folder keeps only the trajectory of this run and the files written from it below.
         for former in ("trajectory.npz" if hdf5 else frames.name, TABLE, PLOT, file.name):
             (out / former).unlink(missing_ok=True)
-        with suppress(OSError):  # of other files in it
+        with suppress(OSError):  # the folder holds other files
             remove_series(out / "vtk")
             (out / "vtk").rmdir()
         if vtk:
@@ -153,7 +153,7 @@ def write_flow(name: str, scene: Scene, out: Path, options: "Options", *, hdf5: 
 
 
 def print_summary(summary: Mapping[str, Any], out: Path, *, asked: bool) -> None:
-    """Where the flow came to rest, if `asked` for, what it cost, how to look at it, and what must be known besides."""
+    """Print front and runout, when the flow came to rest (if `asked`), the cost, how to view the flow, and remarks."""
     rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
     rest = "not at rest when its duration ended, " if asked else ""
     if summary["rest_time"] is not None:
@@ -171,7 +171,7 @@ def print_summary(summary: Mapping[str, Any], out: Path, *, asked: bool) -> None
 
 
 def write_safety(scene: Scene, out: Path, precision: Precision) -> int:
-    """Find the factor of safety of a scene; write it, and say it in a line."""
+    """Compute the factor of safety of a scene; write it to a file and print it."""
     from mpm.safety import safety_factor
 
     make_folder(out)

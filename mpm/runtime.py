@@ -16,9 +16,9 @@ Arch = Literal["cpu", "cuda"]
 ARCHES: dict[Arch, str] = {"cpu": "cpu", "cuda": "cuda"}  # by the names of Taichi
 
 PARTICLES_PER_WORKER = 10_000  # the fewest particles for which another thread pays off
-PARTS = 4  # parts of a large scene at most, on 1, 2 and 4 threads: the result is the same to the bit on each of them
-STALE = 60.0  # seconds after which the lock of the cache of kernels is nobody's
-KERNELS = 2**30  # most that compiled kernels take on disk [bytes]
+PARTS = 4  # most parts of a large scene; on 1, 2 and 4 threads the result is the same to the bit
+STALE = 60.0  # seconds after which a lock on the kernel cache counts as abandoned
+KERNELS = 2**30  # largest size of the compiled kernels on disk [bytes]
 
 _running: tuple[Precision, int, Arch] | None = None
 
@@ -28,8 +28,8 @@ def start(
 ) -> None:
     """Make Taichi ready for `precision` on `threads` cores (all by default), or on a GPU.
 
-    enough: threads that do where Taichi runs already, since another start costs the compiled kernels.
-    Raises InputError where there is no such GPU.
+    enough: threads that suffice if Taichi already runs, since a restart loses the compiled kernels. Raises InputError
+    if there is no such GPU.
     """
     global _running
     threads = threads or processors()
@@ -37,13 +37,13 @@ def start(
         return
     if enough is not None and _running is not None and _running[0::2] == (precision, arch) and _running[1] >= enough:
         return
-    # Imported here: who plans a run, or asks for help, needs no compiler.
+    # Imported here: planning a run and --help need no compiler.
     import taichi as ti
 
     trace_faster()
     cached = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or ti.lang.impl.default_cfg().offline_cache_file_path
     drop_stale_lock(Path(cached) / "ticache.lock")
-    # Taichi greets on standard output, where commands print what they found.
+    # Taichi prints a banner on standard output, where commands print their results.
     with redirect_stdout(StringIO()):
         ti.init(
             arch=getattr(ti, ARCHES[arch]),
@@ -53,8 +53,8 @@ def start(
             fast_math=False,
             # Vectors stay vectors down to LLVM, which has registers for them (`mpm.arrays.access`).
             real_matrix_scalarize=arch != "cpu",
-            # LLVM finds common subexpressions itself; Taichi's search for them takes the square of a kernel's length,
-            # 43 of the 50 seconds of a 3D kernel with contact, for the same code to the bit.
+            # LLVM finds common subexpressions itself; Taichi's own search is quadratic in the length of a kernel (43 of
+            # 50 seconds for a 3D kernel with contact) and gives the same code.
             opt_level=0,
             offline_cache=True,
             # Beyond Taichi's 100 MB the kernels of older kinds of scenes would be dropped.
@@ -70,29 +70,29 @@ def start(
 
 @cache
 def trace_faster() -> None:
-    """Spare Taichi what it does for every expression and every call of a function, once in a process."""
+    """Skip work that Taichi repeats at every expression and function call; set up once per process."""
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
     ASTTransformerContext.get_pos_info = place_in_source
-    # Looked for at every call.
+    # Taichi looks for the source at every call.
     kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)
 
 
 def place_in_source(context: Any, node: Any) -> str:
-    """Where a piece of a kernel stands, for messages of errors.
+    """The place of an expression of a kernel in its source, for error messages.
 
-    Taichi 1.7.4 also quotes and underlines its lines, for every expression of every kernel: a fifth of what a run takes
-    before its first step when its kernels are known.
+    Taichi 1.7.4 also quotes and underlines the lines, for every expression of every kernel: a fifth of the time before
+    the first step if the kernels are cached.
     """
     return f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
 
 
 def drop_stale_lock(lock: Path) -> None:
-    """Remove the lock of the cache of kernels that a killed process has left.
+    """Remove a lock on the kernel cache that a killed process has left.
 
-    While it is there Taichi neither reads nor writes the cache, and every run compiles again: `baffles-2` for 26 s in
-    place of 4. A process holds it while it writes its kernels, for seconds at most.
+    While the lock exists, Taichi neither reads nor writes the cache, and every run compiles again: `baffles-2` for 26 s
+    instead of 4. A process holds the lock while it writes its kernels, for seconds at most.
     """
     with suppress(OSError):
         if datetime.now().timestamp() - lock.stat().st_mtime > STALE:
@@ -100,14 +100,14 @@ def drop_stale_lock(lock: Path) -> None:
 
 
 def workers_for(particles: int, threads: int | None = None) -> int:
-    """Threads that one scene of so many particles takes of `threads`, all processors by default."""
+    """How many of `threads` (default: all processors) a scene of so many particles uses."""
     return max(1, min(threads or processors(), particles // PARTICLES_PER_WORKER))
 
 
 def parts_for(particles: int, threads: int | None = None) -> int:
-    """Parts, one or several a thread, in which a scene of so many particles is computed by at most so many threads."""
+    """How many parts, one or several per thread, a scene of so many particles is divided into for at most `threads`."""
     threads = threads or processors()
     if PARTS % threads > 0:
         return workers_for(particles, threads)
-    # A power of two, as the threads are: one of two threads would compute two of three parts, and the other wait.
+    # A power of two, like the threads: of three parts, one of two threads would compute two while the other waits.
     return 1 << (workers_for(particles, PARTS).bit_length() - 1)

@@ -1,32 +1,32 @@
 """The factor of safety of a slope, by reduction of its strength.
 
     found = safety_factor(read_scene("slope.toml"))
-    found.factor, found.stands, found.moves        # 1.36, of which 1.35 and 1.37 were tried
+    found.factor, found.stands, found.moves        # 1.36, between the tried factors 1.35 and 1.37
 
-The factor F of Bishop (1955) is that by which tan(phi) and c may be divided before the slope moves (Zienkiewicz,
-Humpheson & Lewis 1975; Griffiths & Lane, Geotechnique 49, 1999). Each run begins under the weight of the bodies, in
-equilibrium within the reduced strength as far as there is one (`mpm.initial.stress`), and goes on for a TIME
-sqrt(H / g), H their height, without local damping, which acts like a friction of the walls. It **moves** if a SHARE of
-the particles accelerates, that is gets farther in the second half of the run than in the first and farther than MOVED
-elastic settlements in all, or if it has got farther than SLUMPED of them, by then held up again or not:
+The factor of safety F (Bishop 1955) is the number by which tan(phi) and c may be divided before the slope moves
+(Zienkiewicz, Humpheson & Lewis 1975; Griffiths & Lane, Geotechnique 49, 1999). Each run starts under self-weight, in
+equilibrium with the reduced strength as far as possible (`mpm.initial.stress`), and lasts TIME sqrt(H / g), with H the
+height of the bodies. Local damping is off, since it acts like wall friction. The slope **moves** if a SHARE of its
+particles accelerates: they travel farther in the second half of the run than in the first, and more than MOVED elastic
+settlements u in all. It also moves if they travel more than SLUMPED settlements, even if they stop again:
 
-    u = rho g H^2 / (2 M),     M the modulus of one-dimensional compression.
+    u = rho g H^2 / (2 M),     M the constrained (oedometer) modulus.
 
-A slope that stands yields here and there and comes to rest. Sand on a slope a little flatter than its angle of friction
-creeps by some u, the more the coarser the cells; each of its halves is the shorter one up to the limit.
+A stable slope yields locally and comes to rest. Sand on a slope slightly flatter than its friction angle creeps by a
+few u, more on coarser cells; up to the limit it creeps less in the second half than in the first.
 
-**What a run changes.** One particle a cell and no jitter: four particles ask more of the incompressible flow of a cell
-than its nodes can give, and the slope seems stronger the coarser it is (Nagtegaal, Parks & Rice 1974). Stiffness, on
-which no limit load depends, such that u = SETTLEMENT H, so that what moves is seen early. Tension cutoff and residual
-strength are reduced as c is, dilation stays below phi; friction of floor and solids is theirs; initial velocities,
-stages, barriers and the growth of friction with the rate of shear are left out. Water exerts the force -grad p of the
-pore pressure at the start (`mpm.initial.water`) and no other: the long term, drained.
+**What a run changes.** One particle per cell and no jitter: four particles per cell lock in incompressible flow, which
+makes a coarse slope seem too strong (Nagtegaal, Parks & Rice 1974). The stiffness, on which no limit load depends, is
+set so that u = SETTLEMENT H and motion shows early. Tension cutoff and residual strength are reduced like c; the
+dilation angle stays below phi; the friction of floor and solids is unchanged. Initial velocities, stages, barriers and
+rate-dependent friction are left out. Water exerts only the force -grad p of the initial pore pressure
+(`mpm.initial.water`): long-term, drained conditions.
 
-The error over cells across the height is on the page of stability (`python -m validation.bench stability`). A crest
-shorter than 1.5 H behind the edge takes some of the factor away, for the wall of the box is smooth; so does terrain,
-whose contact holds single particles worse than a floor: a layer on inclined ground creeps on it, which is warned of.
-Four particles a cell would hold it, and lock (above). Without dilation the limit of a frictional material is not
-unique: it lies between that of psi = phi and that of tan(phi) = sin(phi) (Davis 1968).
+The stability page gives the error against cells over the height (`python -m validation.bench stability`). The factor is
+too low if the crest is shorter than 1.5 H behind the edge, since the wall of the box is smooth. It is also too low on
+terrain, whose contact holds single particles less well than a floor does: a layer on inclined ground creeps, and a
+warning says so. Four particles per cell would hold it, but lock (above). Without dilation the limit load of a
+frictional material is not unique: it lies between those for psi = phi and for tan(phi) = sin(phi) (Davis 1968).
 """
 
 import dataclasses
@@ -52,37 +52,37 @@ from mpm.laws.mohr_coulomb import flatter
 from mpm.output.recording import Recording
 from mpm.simulation import Options, simulate_many
 
-TIME = 3.0  # of a run, over sqrt(H / g)
+TIME = 3.0  # duration of a run, over sqrt(H / g)
 MOVED = 2.0  # least displacement of a slope that moves, in elastic settlements
-SLUMPED = 50.0  # that of a slope that has moved, whether it goes on or not
-UNHELD = 5.0  # that of a slope at half of its factor, by which something other than its strength gives way
-SHARE = 0.05  # of the particles that must have moved so far
+SLUMPED = 50.0  # displacement of a slope that has moved, even if it stops again
+UNHELD = 5.0  # largest displacement at half of the factor; beyond it something else than the strength fails
+SHARE = 0.05  # share of the particles that must have moved so far
 SETTLEMENT = 4.0e-4  # elastic settlement over the height
-FRAMES = 50  # of a run: so often the step follows the speed
-FIRST = (0.5, 0.8, 1.25, 2.0)  # factors of the first batch; as many are in every other one
-WIDEST = 64.0  # factor, or one over it, beyond which no limit is looked for
+FRAMES = 50  # frames of a run; the time step adapts to the speed at each
+FIRST = (0.5, 0.8, 1.25, 2.0)  # factors of the first batch; every later batch has as many
+WIDEST = 64.0  # the search ends at this factor and at its reciprocal
 
 
 @dataclass(frozen=True, kw_only=True)
 class Safety:
     """A factor of safety, and the runs that it comes from."""
 
-    factor: float  # geometric mean of the two between which the slope begins to move
+    factor: float  # geometric mean of `stands` and `moves`
     stands: float  # the largest factor at which it stands
     moves: float  # the smallest at which it moves
-    displacements: dict[float, float]  # of each factor: how far a SHARE of the particles got [elastic settlements]
-    cells: float  # over the height of the bodies
+    displacements: dict[float, float]  # factor -> displacement that a SHARE of the particles exceeds [settlements]
+    cells: float  # grid cells over the height of the bodies
     seconds: float
 
 
 def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Options]) -> Safety:
-    """The factor of safety of a scene, to a relative `tolerance`; runs of len(FIRST) factors side by side.
+    """The factor of safety of a scene, to a relative `tolerance`; each batch runs len(FIRST) factors side by side.
 
-    options: those of `mpm.simulate_many`, `record` apart. Raises InputError for a scene without gravity, or that
-    stands, or moves, whatever its strength. Warns in one line where the slope moves with twice the strength, too.
+    options: those of `mpm.simulate_many`, except `record`. Raises InputError for a scene without gravity, or one that
+    stands, or moves, whatever its strength. Warns in one line if the slope moves even at twice the strength.
     """
     if scene.gravity <= 0.0:
-        raise InputError("expected gravity above 0, nothing moves without", key="gravity")
+        raise InputError("expected gravity above 0: nothing moves without it", key="gravity")
     tall = scene_height(scene)
     begin, options["record"] = time.perf_counter(), Recording(frames=FRAMES // 2)
     displacements: dict[float, float] = {}
@@ -92,7 +92,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
 
     def flows_of(factors: Sequence[float]) -> list[Trajectory]:
         with warnings.catch_warnings():
-            # That no stress within a strength too low balances gravity is what is looked for.
+            # The search includes strengths too low for equilibrium: this warning is expected.
             warnings.filterwarnings("ignore", message="no initial stress")
             return simulate_many([reduced(scene, factor) for factor in factors], **options)
 
@@ -115,8 +115,8 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
             factors = tuple(stands * (moves / stands) ** step for step in steps.tolist())
     (strong,) = flows_of([0.5 * stands])
     if (moved := settlements(strong, tall)[2]) > UNHELD:
-        said = f"moves by {moved:.0f} elastic settlements at half of this factor, too, which is far too low"
-        ground = "model inclined ground as a mass of stronger material, which holds single particles as solids do not"
+        said = f"moves by {moved:.0f} elastic settlements even at half of this factor, which is far too low"
+        ground = "model inclined ground as a mass of stronger material, which holds single particles better"
         warnings.warn(f"the slope {said}: {ground}", stacklevel=2)
     tried, cells = dict(sorted(displacements.items())), tall / scene.domain.cell
     factor, seconds = math.sqrt(stands * moves), time.perf_counter() - begin
@@ -124,7 +124,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
 
 
 def settlements(flow: Trajectory, tall: float) -> tuple[float, ...]:
-    """How far a SHARE of the particles gets in the first and the second half of a run and in all [elastic settlements].
+    """Displacements that a SHARE of the particles exceeds: first half, second half, whole run [elastic settlements].
 
     tall: H [m].
     """
@@ -150,7 +150,7 @@ def reduced(scene: Scene, factor: float) -> Scene:
         phi = (material.phi_deg_of(angle, material.dilation_deg) for angle in field.values)
         return dataclasses.replace(field, mass=number, values=tuple(flatter(angle, factor) for angle in phi))
 
-    # One for each mass: angles of different kinds differ, too, where a field is of all.
+    # One field for each mass: a field of all masses means another phi in each material.
     varying = [field for field in scene.fields if field.quantity == FRICTION]
     fields = [flat(field, k) for field in varying for k in range(len(bodies)) if field.mass in (None, k)]
 

@@ -1,4 +1,4 @@
-"""Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads."""
+"""Simulate scenes: small scenes side by side, one per thread; a large scene on all threads."""
 
 import sys
 import time
@@ -32,15 +32,15 @@ from mpm.output.recording import ALL, Recording
 from mpm.runtime import ARCHES, Arch
 
 LARGE = 2 * runtime.PARTICLES_PER_WORKER
-"""Particles from which one scene takes several threads, and they are sorted by cell every FRAMES_PER_CALL frames."""
+"""From this many particles on, a scene uses several threads and is sorted by cell every FRAMES_PER_CALL frames."""
 COMPILING = {2: 5, 3: 10}
 """Seconds to compile a kernel, by dimension."""
 PARTICLE_STEPS_PER_CALL = 5.0e6
-"""About what a thread does in a second or two; a call of the kernel, which a stop waits for, has a frame at least."""
+"""About a second or two of one thread. A kernel call computes at least one frame; a stop waits for its end."""
 SHORT = 0.02
-"""Seconds of a call that says too little of how busy the processors are."""
+"""A call shorter than this [s] says too little about how busy the processors are."""
 PATIENCE = 4.0
-"""A large scene tries all its threads again after a second, then after two, at last after this many."""
+"""A large scene tries all its threads again after one second, then after two, and at most after this many."""
 
 
 class Options(TypedDict, total=False):
@@ -51,17 +51,17 @@ class Options(TypedDict, total=False):
     threads: int | None
     """All cores unless given."""
     arch: Arch
-    """The CPU unless given; on a GPU a step of all scenes of a batch is one call."""
+    """The CPU unless given; on a GPU one call computes a step of all scenes of a batch."""
     record: Recording
     """What to record, and until when to run; the positions in all frames unless given."""
     progress: bool
-    """Show a bar."""
+    """Show a progress bar."""
     file: FrameWriter
-    """Where the positions are kept as they are computed, not in memory; of one scene, on the CPU, without fields."""
+    """File that takes the positions during the run, in place of memory; for one scene, on the CPU, without fields."""
 
 
 def check_options(options: Mapping[str, Any]) -> None:
-    """Raise InputError for an option that there is none of, or that cannot be."""
+    """Raise InputError for an unknown option or an invalid value."""
     names = [*Options.__annotations__]
     for name in options:
         if name not in names:
@@ -95,7 +95,7 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, checkpoint: Checkpoint, so_far: Trajectory) -> None:
         self.checkpoint = checkpoint
         self.so_far = so_far
-        """What was recorded until then."""
+        """The records until then."""
         super().__init__()
 
 
@@ -106,15 +106,15 @@ def simulate(
     stop: Callable[[], bool] = lambda: False,
     **options: Unpack[Options],
 ) -> Trajectory:
-    """Run a scene, or that of a path or a shipped name; a large one on all threads.
+    """Run a scene, given as such, by its path or by a shipped name; a large one uses all threads.
 
         trajectory = simulate(scene, record=Recording(frames=10, fields=True))
         trajectory.positions, trajectory.summary["front"]        # [m], shape [T, N, D]; m
 
-    stop: called every few frames; once it returns True, Interrupted is raised with a checkpoint. resume: such a one,
-    from which the same run goes on, on as many threads the same to the bit as one that was never interrupted. Raises
-    WorkFailed if it blew up, InputError where there is no GPU, or where the checkpoint is of another scene, recording
-    or precision.
+    stop: called every few frames; once it returns True, Interrupted is raised with a checkpoint. resume: a checkpoint,
+    from which the run continues; on as many threads the result is the same to the bit as without interruption. Raises
+    WorkFailed if the run blew up, InputError if there is no GPU or if the checkpoint belongs to another scene,
+    recording or precision.
     """
     check_options(options)
     scene = scene if isinstance(scene, Scene) else read_scene(scene)
@@ -125,7 +125,7 @@ def simulate(
     parts = runtime.parts_for(particle_count(scene), threads) if arch == "cpu" else 1
     file, gpu = options.get("file"), arch != "cpu"
     if file is not None and record.state:
-        raise InputError("expected positions alone: fields are smoothed in memory", key="file")
+        raise InputError("expected only positions: fields are smoothed in memory", key="file")
     plan = footprint(scene, record=record, precision=precision, workers=parts, gpu=gpu, in_file=file is not None)
     require_memory([plan])
     particles = particles_of([scene])
@@ -155,9 +155,9 @@ def simulate(
 
 
 def simulate_many(scenes: Sequence[Scene | str | Path], **options: Unpack[Options]) -> list[Trajectory]:
-    """Run scenes side by side, one per thread; one of less than LARGE particles is the same to the bit as alone.
+    """Run scenes side by side, one per thread; with fewer than LARGE particles, each is the same to the bit as alone.
 
-    Raises ScenesFailed, once all have ended, where one blew up, and InputError as `simulate`.
+    Raises ScenesFailed after all have ended if one blew up, and InputError as `simulate` does.
     """
     if len(scenes) == 1:
         return [simulate(scenes[0], **options)]
@@ -165,7 +165,7 @@ def simulate_many(scenes: Sequence[Scene | str | Path], **options: Unpack[Option
 
 
 def whole(outcomes: Sequence[Trajectory | WorkFailed]) -> list[Trajectory]:
-    """The trajectories of scenes. Raises ScenesFailed where one has none."""
+    """The trajectories of scenes. Raises ScenesFailed if a scene has none."""
     trajectories = [outcome for outcome in outcomes if isinstance(outcome, Trajectory)]
     if len(trajectories) < len(outcomes):
         raise ScenesFailed(outcomes)
@@ -173,7 +173,7 @@ def whole(outcomes: Sequence[Trajectory | WorkFailed]) -> list[Trajectory]:
 
 
 def simulate_each(scenes: Sequence[Scene | str | Path], **options: Unpack[Options]) -> list[Trajectory | WorkFailed]:
-    """As `simulate_many`, but one that blew up leaves a WorkFailed in its place.
+    """As `simulate_many`, but a scene that blew up leaves a WorkFailed in its place.
 
     Scenes that need the same features run together, in the kernel that each would get alone; `wall_s` and `compile_s`
     of their summaries are those of all scenes together.
@@ -182,7 +182,7 @@ def simulate_each(scenes: Sequence[Scene | str | Path], **options: Unpack[Option
     require(len(scenes) > 0, "scenes", "one scene at least", "none")
     given = [scene if isinstance(scene, Scene) else read_scene(scene) for scene in scenes]
     if "file" in options:
-        raise InputError("expected one scene whose frames are kept in a file, got others beside it", key="file")
+        raise InputError("expected a single scene for frames kept in a file, got several", key="file")
     for scene in given:
         warn_if_unresolved(scene)
     arch, record = options.get("arch", "cpu"), options.get("record", ALL)
@@ -214,10 +214,10 @@ def simulate_each(scenes: Sequence[Scene | str | Path], **options: Unpack[Option
 def run_batch(
     batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bool], *, threads: int | None = None, say: bool
 ) -> tuple[float, float]:
-    """Run all scenes of a batch until their ends or until asked to stop; seconds to compute and to compile.
+    """Run all scenes of a batch to their ends or until a stop; return the seconds to compute and to compile.
 
-    threads: of one scene in parts, as many as there are parts unless given. say: that it compiles, where that takes
-    more than a second; a kernel that was compiled before is read in less.
+    threads: for one scene in parts; one per part unless given. say: announce a compilation that takes more than a
+    second; a kernel that was compiled before loads in less.
     """
     run = kernel(batch.features)
     begin = time.perf_counter()
@@ -225,7 +225,7 @@ def run_batch(
     waiting = Timer(1.0, print, (line,), {"file": sys.stderr, "flush": True})
     if say and arch == "cpu":
         waiting.start()
-    # No frames: this only compiles. On a GPU the first frame does.
+    # A call for no frames only compiles. On a GPU the first frame compiles.
     try:
         if arch == "cpu":
             run(*batch.arguments.values(), 0, 0, Phase.FRAMES)
@@ -243,8 +243,8 @@ def run_batch(
 def run_on_threads(batch: Batch, bar: "tqdm[None]", stop: Callable[[], bool], threads: int | None = None) -> None:
     """Compute the frames of all scenes of a batch, after `batch.computed`, on the threads of the CPU.
 
-    A call ends where particles are sorted, in the same frames wherever a run was interrupted, where a frame is kept
-    that the kernel does not record, and where a stage may begin.
+    A call ends where particles are sorted (the same frames whether or not the run was interrupted), where a frame is
+    kept that the kernel does not record, and where a stage may begin.
     """
     end, crew = max(scene.frames for scene in batch.scenes), Crew(batch, threads)
     steps = (batch.offsets[:, Offset.SUBSTEPS] * batch.offsets[:, Offset.PARTICLES].astype(float)).sum()
@@ -269,10 +269,9 @@ def run_on_threads(batch: Batch, bar: "tqdm[None]", stop: Callable[[], bool], th
 
 
 class Crew:
-    """How many threads compute the parts of a large scene: half as many while other processes take processors.
-
-    Threads wait for each other in every step. Where one has to wait for a processor, they all do: if of T processors
-    m <= 1 are missing, T threads get 1 - m of their speed, and T / 2 half. The result is the same to the bit.
+    """The number of threads for the parts of a large scene: it is halved while other processes occupy processors.
+    Threads wait for each other in every step: if one waits for a processor, all do. If m <= 1 of T processors are
+    taken, T threads run at 1 - m of their speed, and T / 2 threads at half of it. The result is the same to the bit.
     """
 
     def __init__(self, batch: Batch, threads: int | None = None) -> None:
@@ -294,6 +293,6 @@ class Crew:
 
 
 def progress_bar(frames: int, computed: int, options: Options) -> "tqdm[None]":
-    """A bar that counts frames, where asked for."""
+    """A progress bar over frames, if asked for."""
     disabled = not options.get("progress", False)
     return tqdm(total=frames, initial=computed, unit="frame", disable=disabled, desc="mpm")

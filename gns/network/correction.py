@@ -1,12 +1,12 @@
-"""The correction: where a rollout ends, moved to where the MPM's flow does, by a network that learns whole rollouts.
+"""The correction: a network that learns whole rollouts moves the end of a rollout to that of the MPM's flow.
 
-    x'_K = x_K + L/10 C(start, x_K, conditions)     C: `gns.network.network.Network`, one pass a rollout
+    x'_K = x_K + L/10 C(start, x_K, conditions)     C: `gns.network.network.Network`, one pass per rollout
     x'_k = x_k + w_k (x'_K - x_K),                  w_k = sum_{j <= k} |v_j|^2 / sum_{j <= K} |v_j|^2
 
-with L = `length_of`, positions x_k and their changes v_k. An error that the steps add up alike in each flow of a kind,
-such as a front that comes short, is hard for them to unlearn: a gradient through all of them costs as much as a hundred
-passes of C, which sees end, start and surroundings at once. K is any step; the way to it is stretched in proportion to
-the motion.
+with L = `length_of`, positions x_k and their changes v_k. An error that accumulates in the same way in all flows of a
+kind, such as a front that falls short, is hard for the steps to unlearn: a gradient through all of them costs as much
+as a hundred passes of C, which sees end, start and surroundings at once. K is any step; the path to it is stretched in
+proportion to the motion.
 """
 
 import dataclasses
@@ -22,14 +22,14 @@ from gns.surroundings.forces import Moment
 from gns.surroundings.state import Conditions, State, columns
 
 WIDTH = 64  # of its latent vectors; a wider one overfits
-NOISE = 0.2  # standard deviation of what is added to the normalised features of a whole flow while training [-]
-DISPLACEMENT = 0.1  # displacement over L that an output of one means [-]
+NOISE = 0.2  # standard deviation of the noise on the normalised features of a whole flow in training [-]
+DISPLACEMENT = 0.1  # displacement over L for an output of one [-]
 SMALLEST = 1.0e-3  # standard deviation of a flow over L, below which a division by it fades [-]
-LARGEST = 5.0  # of a normalised feature, by amount [-]
+LARGEST = 5.0  # largest absolute value of a normalised feature [-]
 
 
 class Correction(nn.Module):
-    """C: what a network is given of the end, and of each particle its place in the flow as a whole, normalised."""
+    """C: its input is the features at the end, and the place of each particle in the whole flow, normalised."""
 
     mean: Tensor
     std: Tensor
@@ -43,11 +43,11 @@ class Correction(nn.Module):
         self.network = Network(count, 0, dataclasses.replace(settings, width=WIDTH))
 
     def forward(self, start: State, end: Moment) -> Tensor:
-        """x'_K - x_K [m], shape [N, D], before any contact; all in units of the model."""
+        """x'_K - x_K [m], shape [N, D], before any contact; in units of the model."""
         inputs, conditions = Inputs.of_moment(end), end.conditions
         features = (self.features(start, end, inputs.features) - self.mean) / self.std
         if self.training:
-            # Features that are the same all over a flow identify it: without noise the network overfits.
+            # Features that are constant over a flow identify it: without noise the network overfits.
             noise = NOISE * torch.randn(len(conditions.size), features.shape[1]).to(features)
             features = features + conditions.of_particles(noise)
         moved = self.network(dataclasses.replace(inputs, features=features.clamp(-LARGEST, LARGEST)))
@@ -74,18 +74,18 @@ class Correction(nn.Module):
 
 
 def average(values: Tensor, conditions: Conditions) -> Tensor:
-    """Mean over the volume of each flow, for each of its particles: of values [N, C], shape [N or 1, C]."""
+    """Mean of values [N, C] over the volume of each flow, for each of its particles; shape [N or 1, C]."""
     share = conditions.volume.unsqueeze(1)
     return conditions.of_particles(conditions.total(share * values) / conditions.total(share))
 
 
 def length_of(settings: ModelSettings) -> float:
-    """L [m]: the length of the released body; of a model that does not scale its scenes, ten cutoff radii."""
+    """L [m]: the length of the released body; for a model that does not scale its scenes, ten cutoff radii."""
     return settings.body_length or 10.0 * settings.radius
 
 
 def stretched(positions: Tensor, moved: Tensor, conditions: Conditions) -> Tensor:
-    """The way of a rollout [m], shape [K + 1, N, D], to an end that is moved by `moved` [m], shape [N, D]."""
+    """Positions of a rollout [m], shape [K + 1, N, D], stretched to an end displaced by `moved` [m], shape [N, D]."""
     steps = (positions[1:] - positions[:-1]).detach().square().sum(dim=2)
     passed = conditions.of_particles(conditions.total(steps.T)).T.cumsum(dim=0)
     shares = (passed / passed[-1].clamp(min=1.0e-12)).unsqueeze(2)

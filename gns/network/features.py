@@ -1,8 +1,8 @@
-"""The features: what the network is given of nodes and edges, in the order of its columns.
+"""The features: the network's input for nodes and edges, in the order of its columns.
 
-To add a feature is to add an entry to `NODES`, to `EDGES` or to the channels of the background grid
-(`gns.surroundings.grid.CHANNELS`): its name, its number of columns, and how they are computed and scaled. All else
-follows: the width of the network, training, rollout and card. Absolute positions are no features.
+To add a feature, add an entry to `NODES`, to `EDGES` or to the channels of the background grid
+(`gns.surroundings.grid.CHANNELS`): its name, its number of columns, and how they are computed and scaled. Everything
+else follows: the width of the network, training, rollout and card. Absolute positions are no features.
 """
 
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ from gns.surroundings.state import Input, columns
 DAMPING = 5.0  # factor that brings the coefficient of damping to the size of the other features [-]
 ROUGHNESS = (0.45, 0.27)  # mean and standard deviation to which the friction of floor and walls is normalised [-]
 INCLINED = 4.0  # factor that brings gravity along the floor to the size of the other features [-]
-# Scale of the logarithm of the cohesion, about the weight of 3 mm of sand: a thin front with any cohesion stops sooner.
+# Scale of the logarithm of the cohesion, about the weight of 3 mm of sand: any cohesion stops a thin front sooner.
 REFERENCE_COHESION = 50.0  # [Pa]
-SQUARE_FLOOR = 1.0e-12  # added to d^2: stopped particles can coincide, where the root has no finite slope
+SQUARE_FLOOR = 1.0e-12  # added to d^2: stopped particles may coincide, and the root has no finite slope at zero
 
 
 def constants(x: Moment) -> Tensor:
@@ -38,9 +38,9 @@ def constants(x: Moment) -> Tensor:
     return torch.cat((strengths, conditions.of_particles(shared).expand(len(strengths), -1)), dim=1)
 
 
-# Of a node, constant during a rollout: they also scale and shift the latents of each message-passing step.
+# Node features that are constant during a rollout: they also scale and shift the latents of each message-passing step.
 CONSTANTS = {"friction, cohesion, floor, walls, damping, gravity": Input(lambda s: 5 + s.dimension, constants)}
-# Of a node, from a `Moment`.
+# Node features, from a `Moment`.
 NODES = {
     "past displacements": Input(
         lambda s: s.history * s.dimension,
@@ -61,7 +61,7 @@ NODES = {
     "forces of pressure and internal friction": Input(lambda s: 2 * s.dimension, lambda x: x.internal),
     "basal friction and damped motion": Input(lambda s: 2 * s.dimension, lambda x: torch.hstack((x.basal, x.damped))),
 }
-# Of an edge, from the offset of its sender from its receiver over the radius [-], shape [E, D].
+# Edge features, from the offset of the sender from the receiver over the radius [-], shape [E, D].
 EDGES = {
     "offset over the radius": Input(lambda s: s.dimension, lambda d: d),
     "distance over the radius": Input(lambda s: 1, lambda d: (d.square().sum(1, keepdim=True) + SQUARE_FLOOR).sqrt()),
@@ -70,7 +70,7 @@ EDGES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """What a network is given of a state of N particles."""
+    """The network's input for a state of N particles."""
 
     features: Tensor  # `NODES`, shape [N, F]
     constant: Tensor  # `CONSTANTS`, shape [N, M]

@@ -1,8 +1,8 @@
 """The graph: particles are nodes, and pairs closer than a cutoff radius are edges, in PyTorch Geometric's layout.
 
 Neighbours are found on the CPU, in double precision, by a compiled cell list: the neighbours of a particle lie in its
-own cell and those around it, of which a row along the first axis is one run of the sorted particles. SciPy's cKDTree
-takes several times as long for its pairs in the same order.
+own cell and the surrounding ones; a row of these along the first axis is one range of the sorted particles. SciPy's
+cKDTree takes several times as long for pairs in the same order.
 """
 
 import math
@@ -20,7 +20,7 @@ Floats = np.ndarray[Any, np.dtype[np.float64]]
 Integers = np.ndarray[Any, np.dtype[np.int64]]
 
 CELL_MARGIN = 1.0e-6
-"""By this share cells are larger than the radius: rounding must not put two neighbours two cells apart [-]."""
+"""Cells exceed the radius by this share [-], so that rounding never puts two neighbours two cells apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class Graph:
 
 def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) -> Graph:
     """The graph of `positions` [m], shape [N, D], D at most 3: all pairs no further apart than `radius` [m].
-    batch: sample of each particle, shape [N]; samples share no edges. Raises WorkFailed for positions not finite."""
+    batch: sample of each particle, shape [N]; samples share no edges. Raises WorkFailed if positions are not finite."""
     points = positions.detach().double().cpu().numpy()
     if not np.isfinite(points).all():
         raise WorkFailed("the positions of the particles are no longer finite numbers")
@@ -43,7 +43,7 @@ def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) 
     axes[: points.shape[1]] = points.T
     lower = axes.min(axis=1, initial=np.inf)
     extent = axes.max(axis=1, initial=-np.inf) - lower if len(points) else np.zeros(3)
-    # As many cells as there are particles or so, however far a few of them may have flown.
+    # About as many cells as particles, however far a few of them may have flown.
     edge, most = radius * (1.0 + CELL_MARGIN), (16.0 * len(points) + 4096.0) / (samples.max(initial=0) + 1)
     while np.prod(extent / edge + 1.0) > most:
         edge *= 1.5
@@ -71,7 +71,7 @@ def neighbours(
     positions: Floats, cells: Integers, first: Integers, order: Integers, counts: Integers, radius: float
 ) -> tuple[Integers, Integers]:
     """`Graph.edge_index` and `Graph.starts` of the pairs no further apart than the radius.
-    positions: [m], shape [3, N]; cells: the one of each particle, shape [N], x fastest; first: where each cell begins
+    positions: [m], shape [3, N]; cells: the cell of each particle, shape [N], x fastest; first: where each cell begins
     among the particles in the order of the cells, `order`, shape [N]; counts: of cells along each axis."""
     count, (nx, ny, nz) = len(cells), counts
     ordered = positions[:, order]
@@ -92,7 +92,7 @@ def neighbours(
                     near = longer
                 for k in range(begin, end):
                     dx, dy, dz = x - ordered[0, k], y - ordered[1, k], z - ordered[2, k]
-                    # Written always, kept where it is near: a branch would be mispredicted too often.
+                    # Always written, kept only if near: a branch would be mispredicted too often.
                     near[edges] = order[k]
                     edges += int((dx * dx + dy * dy + dz * dz <= square) & (order[k] != i))
         starts[i + 1] = edges

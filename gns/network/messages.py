@@ -3,9 +3,9 @@
     m_i = sum_j w_ij silu(a_i + b_j + W_x (x_j - x_i) + W_d d_ij)
     d_ij = |x_j - x_i|,   w_ij = (1 - d_ij^2)^2
 
-`MessageSum` is the definition, and what runs on a GPU and in double precision. On a CPU `FusedSum` gives the same
-within rounding: operations of torch (gather, product, sigmoid, scatter) move every edge through memory eight times; in
-the kernels of Numba it stays in registers. What is linear in the offset is a product per node, W_x x_j and -W_x x_i.
+`MessageSum` is the definition; it runs on a GPU and in double precision. On a CPU `FusedSum` gives the same within
+rounding: torch operations (gather, product, sigmoid, scatter) move every edge through memory eight times; in the Numba
+kernels it stays in registers. Terms linear in the offset are products per node, W_x x_j and -W_x x_i.
 
 | symbol     | variable             | meaning                                                        |
 | a_i, b_j   | `receiver`, `sender` | linear in the latents of receiver and sender, shape [N, C]     |
@@ -28,7 +28,7 @@ from gns.network.graph import Graph
 from gns.surroundings.state import computed
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
-"""Sums may be reordered, which is what lets them fill vectors; NaN and infinity keep their meaning."""
+"""Sums may be reordered, so that they can be vectorised; NaN and infinity keep their meaning."""
 LOG2_E, LN_2 = np.float32(1.4426950408889634), np.float32(0.6931471805599453)
 ZERO, ONE, FOUR = np.float32(0.0), np.float32(1.0), np.float32(4.0)
 C2, C3, C4, C5, C6 = (np.float32(1.0 / k) for k in (2, 6, 24, 120, 720))
@@ -43,7 +43,7 @@ def messages(receiver: Tensor, sender: Tensor, weight: Tensor, graph: Graph) -> 
     if not receiver.is_cpu or receiver.dtype == torch.float64 or tuple(EDGES) != FUSED:
         total = _definition()(graph.edge_index, a=receiver, b=sender, x=graph.positions, weight=weight)
         return torch.as_tensor(total)
-    # Products in half precision, as in a training, are summed in single.
+    # Half-precision products, as in training, are summed in single precision.
     receiver, sender, weight = receiver.float(), sender.float(), weight.float()
     with torch.autocast("cpu", enabled=False):
         placed = graph.positions @ weight[:-1]
@@ -55,7 +55,7 @@ def messages(receiver: Tensor, sender: Tensor, weight: Tensor, graph: Graph) -> 
 
 @cache
 def _definition() -> Any:
-    """The definition, made where it is first needed: to import PyTorch Geometric takes seconds."""
+    """The definition, made when it is first needed: importing PyTorch Geometric takes seconds."""
     from torch_geometric.nn import MessagePassing
 
     class MessageSum(MessagePassing):  # type: ignore[misc]
@@ -72,7 +72,7 @@ def _definition() -> Any:
 
 
 class FusedSum(torch.autograd.Function):
-    """Edge by edge on a CPU: nothing of size [E, C] is ever stored, and the backward pass computes it anew."""
+    """Edge by edge on a CPU: nothing of size [E, C] is ever stored; the backward pass recomputes it."""
 
     @staticmethod
     def forward(
@@ -97,8 +97,8 @@ class FusedSum(torch.autograd.Function):
 
 @numba.njit(inline="always", fastmath=FAST, error_model="numpy")
 def _sigmoid(h: Any) -> Any:
-    """1 / (1 + exp(-h)) to a few units in the last place, without a call, which would keep the loop from vectors.
-    exp(-h) = 2^t = 2^n 2^f with |f| <= 1/2, and 2^f = exp(f ln 2) by its Taylor series."""
+    """1 / (1 + exp(-h)) to a few units in the last place, without a call, which would prevent vectorisation. exp(-h) =
+    2^t = 2^n 2^f with |f| <= 1/2, and 2^f = exp(f ln 2) by its Taylor series."""
     t = -h * LOG2_E
     t = t if t < MAX_EXPONENT else MAX_EXPONENT
     t = t if t > -MAX_EXPONENT else -MAX_EXPONENT
@@ -162,7 +162,7 @@ def _gradients(  # type: ignore[no-untyped-def]
             b, to_b = sender[j], to_sender[j]
             distance, inside = np.sqrt(squares[e] + FLOOR), max(ONE - squares[e], ZERO)
             w, to_envelope, to_distance = inside * inside, ZERO, ZERO
-            # Loops that write to one array each: more of them the compiler cannot prove apart.
+            # One array per loop: the compiler cannot prove that several do not overlap.
             for c in range(channels):
                 h = a[c] + b[c] + distance * weight[c]
                 s = _sigmoid(h)

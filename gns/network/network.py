@@ -2,11 +2,11 @@
 
     x = encoder(features)
     x = processor(x)            rounds of: grid context, then message-passing steps
-    a, c = decoder(x)           normalised acceleration of each node, and shares of known forces
+    a, c = decoder(x)           normalised acceleration of each node, and coefficients of known forces
 
-A message-passing step carries information over one cutoff radius, while a step of the model spans many. So latents are
-scattered to a coarse grid around the material, convolved there, and interpolated back to the nodes of the graph: a
-receptive field as wide as the flow for little more time (the idea of CoRGI, arXiv 2511.22938).
+A message-passing step carries information over one cutoff radius, while a step of the model spans many. Therefore
+latents are scattered to a coarse grid around the material, convolved there, and interpolated back to the nodes of the
+graph: a receptive field as wide as the flow at little extra cost (the idea of CoRGI, arXiv 2511.22938).
 """
 
 import math
@@ -34,17 +34,17 @@ def mlp(inputs: int, outputs: int, settings: ModelSettings) -> nn.Sequential:
 
 
 class Interaction(nn.Module):
-    """m [N, C] from node latents x [N, C] and a graph, by the messages of Sanchez-Gonzalez et al. 2020, made cheap.
+    """m [N, C] from node latents x [N, C] and a graph, by the messages of Sanchez-Gonzalez et al. 2020, made cheaper.
     Their message is a network of [x_i, x_j, e_ij]. Its first layer splits into W_i x_i + W_j x_j + W_e e_ij, two of
     which are per node; its last layer is linear and follows the sum over the neighbours, in the update of the node.
-    What is left per edge is the sum in `gns.network.messages`; edges carry no latents."""
+    Only the sum in `gns.network.messages` is left per edge; edges carry no latents."""
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         width = settings.width
         self.from_receiver = nn.Linear(width, width)
         self.from_sender = nn.Linear(width, width, bias=False)
-        # Its weight is `from_offset.weight` in the files of models.
+        # Model files call its weight `from_offset.weight`.
         self.from_offset = nn.Linear(columns(EDGES, settings), width, bias=False)
 
     def forward(self, x: Tensor, graph: Graph) -> Tensor:
@@ -53,7 +53,7 @@ class Interaction(nn.Module):
 
 class MessagePassingStep(nn.Module):
     """One step: x_i <- x_i + mlp(y_i, sum of the messages to i), where y_i = (1 + g_i) norm(x_i) + b_i. Scale g and
-    shift b are linear in what is constant for a particle (FiLM: Perez et al., AAAI 2018)."""
+    shift b are linear in the constant features of a particle (FiLM: Perez et al., AAAI 2018)."""
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
@@ -75,8 +75,8 @@ class MessagePassingStep(nn.Module):
 
 
 class Convolution(nn.Conv2d):
-    """Kernels of 3 nodes along each axis, `dilation` nodes apart, channels last; around the grid are zeros. In 3D by
-    planes that carry the channels of their neighbours too: on a CPU torch's own takes five times as long."""
+    """Kernels of 3 nodes along each axis, `dilation` nodes apart, channels last, zero-padded. In 3D it works by planes
+    that also carry the channels of their neighbours: on a CPU torch's own takes five times as long."""
 
     def __init__(self, channels: int, dimension: int, dilation: int) -> None:
         super().__init__(3 ** (dimension - 2) * channels, channels, 3, padding=dilation, dilation=dilation)
@@ -92,7 +92,7 @@ class Convolution(nn.Conv2d):
 
 
 class GridContext(nn.Module):
-    """Latents of the graph's nodes [N, C] to an increment of them [N, C] by convolutions on the grid."""
+    """Increment of the graph nodes' latents [N, C] by convolutions on the grid."""
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
@@ -113,7 +113,7 @@ class GridContext(nn.Module):
 
 
 def masked(field: Tensor, stencil: Stencil) -> Tensor:
-    """The field, zero where a sample alone would have no nodes: what is beside it makes no difference."""
+    """The field, zero where a sample alone would have no nodes: a result does not depend on the other samples."""
     return field if stencil.own is None else field * stencil.own
 
 
@@ -135,22 +135,22 @@ class Processor(nn.Module):
 
 
 class Network(nn.Module):
-    """Features of the nodes to normalised accelerations and the shares of known forces."""
+    """Features of the nodes to normalised accelerations and the coefficients of known forces."""
 
     def __init__(self, features: int, known: int, settings: ModelSettings) -> None:
         """features: columns F of the nodes; known: number K of known forces."""
         super().__init__()
         self.half_precision = False
-        """Whether products before the decoder are in bfloat16, as a training has them where that is faster."""
-        # Its weights are `encoder.mlp.0.weight` and so on in the files of models.
+        """Whether products before the decoder are in bfloat16, as in training if that is faster."""
+        # Model files call its weights `encoder.mlp.0.weight` and so on.
         self.encoder = nn.Sequential(OrderedDict(mlp=mlp(features, settings.width, settings)))
         self.processor = Processor(settings)
         decoder = mlp(settings.width, settings.dimension + known, settings)
         self.decoder = nn.Sequential(OrderedDict(norm=nn.LayerNorm(settings.width), mlp=decoder))
         last = decoder[-1]
         assert isinstance(last, nn.Linear)
-        # An untrained model is free flight: a standard deviation of 1e-3, from that of torch's own, (3 width)^(-1/2).
-        # To draw others would load torch's compiler wherever a model is loaded.
+        # An untrained model is free flight: torch's weights, of standard deviation (3 width)^(-1/2), scaled to 1e-3.
+        # Drawing others would load torch's compiler wherever a model is loaded.
         nn.init.zeros_(last.bias)
         with torch.no_grad():
             last.weight.mul_(1.0e-3 * math.sqrt(3.0 * settings.width))
@@ -158,7 +158,7 @@ class Network(nn.Module):
     def forward(self, given: Inputs) -> Tensor:
         """Features of the particles to a and c [N, D + K]."""
         features = given.features
-        # Gradients of the steps of a rollout are summed in single precision: a weight is converted anew in each step.
+        # A weight is converted anew in each step, so that gradients of a rollout's steps sum in single precision.
         with torch.autocast(features.device.type, torch.bfloat16, enabled=self.half_precision, cache_enabled=False):
             x = self.encoder(features).to(features.dtype)
             x = self.processor(x, given)

@@ -1,1 +1,1 @@
-"""The particles and what is around them: state, units, solids, contact, background grid, known forces."""
+"""The particles and their surroundings: state, units, solids, contact, background grid, known forces."""

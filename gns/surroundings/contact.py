@@ -1,4 +1,4 @@
-"""The projection that keeps particles outside of walls, ground and baffles, differentiable in all of these."""
+"""The projection that keeps particles out of walls, ground and baffles, differentiable in all of these."""
 
 import math
 
@@ -9,8 +9,8 @@ from gns.settings import UP
 from gns.surroundings.solids import Below, Boxes, close_to, upward
 from gns.surroundings.state import Conditions, Ground
 
-SKIN = 1.0e-5  # distance from a face at which particles are held [m]: neither rounding nor a joint of two admits one
-SLACK = 0.1 * SKIN  # how far within that distance rounding may put a particle [m]
+SKIN = 1.0e-5  # distance from a face at which particles are held [m]: none passes by rounding or through a joint
+SLACK = 0.1 * SKIN  # how far inside that distance rounding may move a particle [m]
 GRAZE = 1.0e-3  # a path that cuts off less than this of a baffle's corner passes it [m]
 
 
@@ -19,11 +19,11 @@ def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tenso
     The walls of the box [0, size] and the ground stop them. A particle whose path enters or crosses a baffle is held at
     a distance SKIN from the first face on its path, and its motion along that face remains: the gradient in the corner
     is one. A particle that was inside before counts as having been at the nearest free face. Where turned baffles leave
-    no way along a face, as where it meets a wall at an acute angle, the particle stays where it was."""
+    no path along a face, such as where it meets a wall at an acute angle, the particle stays where it was."""
     size, batch, ground = conditions.of_particles(conditions.size), conditions.batch, conditions.ground
     kept = _clamped(positions, size)
     if ground is not None:
-        # What a wall sends back from its way along the normal may be below the ground again.
+        # A particle moved along the normal and sent back by a wall may be below the ground again.
         kept = lifted(_clamped(above(kept, ground, batch), size), ground, batch)
     if conditions.baffles is None:
         return kept
@@ -38,8 +38,8 @@ def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tenso
     start = _freed(start, ends.detach(), fixed)
     start_in_axes = fixed.in_axes(start)
     is_turned = boxes.turn is not None
-    # Where a box has stopped a particle, its new path is clear of that box, whatever stops it next: a round each. Of
-    # turned ones that is so but for the next one to send it back.
+    # After a box has stopped a particle, its new path avoids that box, whatever stops it next: one round per box. With
+    # turned boxes this holds unless the next one sends it back.
     for _ in range(boxes.half.shape[1] * (2 if is_turned else 1)):
         box, axis, along = entered(start_in_axes, fixed.in_axes(point.detach()), fixed.half, graze=GRAZE, slack=SLACK)
         hit = (box >= 0).nonzero().squeeze(1)
@@ -52,7 +52,7 @@ def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tenso
     if ground is not None:
         point = lifted(point, ground, near_batch)
     if is_turned:
-        # Of smaller boxes, or rounding would stop what slides along a face.
+        # With smaller boxes, since otherwise rounding would stop particles that slide along a face.
         box, *_ = entered(start_in_axes, fixed.in_axes(point.detach()), fixed.half - SLACK, graze=GRAZE, slack=0.0)
         point = torch.where((box >= 0).unsqueeze(1), start, point)
         if ground is not None:
@@ -70,13 +70,13 @@ def _stopped(point: Tensor, box: Boxes, axis: Tensor, along: Tensor) -> Tensor:
 
 def _clamped(points: Tensor, size: Tensor) -> Tensor:
     """Positions [n, D] clamped to the box [0, size]; size: [n or 1, D]."""
-    # Not by torch.minimum, which would halve the gradient of a particle that rests exactly on a wall.
+    # Not torch.minimum, which would halve the gradient of a particle that rests exactly on a wall.
     points = points.clamp(min=0.0)
     return torch.where(points > size, size, points)
 
 
 def _freed(points: Tensor, size: Tensor, boxes: Boxes) -> Tensor:
-    """Positions [n, D], those inside a box moved to its nearest face that neither a wall nor another box covers."""
+    """Positions [n, D]; those inside a box are moved to its nearest face not covered by a wall or another box."""
     inside = boxes.contain(points, SLACK)
     stuck = inside.any(dim=1).nonzero().squeeze(1)
     if len(stuck) == 0:
@@ -99,10 +99,10 @@ def _freed(points: Tensor, size: Tensor, boxes: Boxes) -> Tensor:
 
 
 def entered(start: Tensor, end: Tensor, half: Tensor, *, graze: float, slack: float) -> tuple[Tensor, Tensor, Tensor]:
-    """The box that each path enters first, -1 where none; along which axis of it; whether along this axis. Each [n].
-    start, end: of the paths in the axes of the boxes [m], both [n, K, D]; half: [n, K, D]. A path that cuts off less
-    than `graze` [m] of a box passes it; one that starts less than `slack` inside enters it. By the slab method (Kay and
-    Kajiya 1986): a path is inside between the last of the axes' entries and the first of their exits."""
+    """The box that each path enters first, -1 if none; the axis of entry; whether the path goes along this axis. Each
+    [n]. start, end: of the paths in the axes of the boxes [m], both [n, K, D]; half: [n, K, D]. A path that cuts off
+    less than `graze` [m] of a box passes it; one that starts less than `slack` inside enters it. By the slab method
+    (Kay and Kajiya 1986): a path is inside between the last of the axes' entries and the first of their exits."""
     path = end - start
     still = path == 0.0
     divisor = torch.where(still, 1.0, path)
@@ -113,7 +113,7 @@ def entered(start: Tensor, end: Tensor, half: Tensor, *, graze: float, slack: fl
         torch.where(still, torch.where(between, math.inf, -math.inf), torch.maximum(entry, leave)),
     )
     last_entry, axis = entry.max(dim=2)
-    # Of the path itself: what was crossed before its start does not count.
+    # Only the path itself: a crossing before its start does not count.
     cut = (leave.min(dim=2).values.clamp(max=1.0) - last_entry.clamp(min=0.0)) * path.norm(dim=2)
     outside = last_entry * path.gather(2, axis.unsqueeze(2)).squeeze(2).abs() >= -2.0 * slack
     hit = (end.abs() < half - slack).all(dim=2) | (outside & (cut > graze))
@@ -124,7 +124,7 @@ def entered(start: Tensor, end: Tensor, half: Tensor, *, graze: float, slack: fl
 
 
 def above(points: Tensor, ground: Ground, batch: Tensor | None) -> Tensor:
-    """Positions [n, D], those below the ground moved to it along its normal, what is left of the way straight up."""
+    """Positions [n, D]; those below the ground are moved onto it along its normal, and the rest straight up."""
     below = Below(points, ground, batch)
     with torch.no_grad():
         buried = (below.value(ground.elevation) > points[:, UP]).nonzero().squeeze(1)
@@ -139,8 +139,8 @@ def above(points: Tensor, ground: Ground, batch: Tensor | None) -> Tensor:
 
 
 def lifted(points: Tensor, ground: Ground, batch: Tensor | None) -> Tensor:
-    """Positions [n, D], those below the ground moved straight up to it."""
+    """Positions [n, D]; those below the ground are moved straight up to it."""
     height = Below(points, ground, batch).value(ground.elevation)
     y = points[:, UP]
-    # Not by torch.maximum, which would halve the gradient of a particle that rests exactly on the ground.
+    # Not torch.maximum, which would halve the gradient of a particle that rests exactly on the ground.
     return torch.cat((points[:, :UP], torch.where(height > y, height, y).unsqueeze(1), points[:, UP + 1 :]), dim=1)

@@ -1,7 +1,7 @@
-"""The particles at one moment, what surrounds them, and the forces that known laws give.
+"""The particles at one moment, their surroundings, and the forces of known laws.
 
-A network of sums is slow to learn products of its inputs, such as a coefficient of friction times the direction of the
-motion. So these are features, and some of them are forces, of which the network gives the shares.
+A network of sums is slow to learn products of its inputs, such as a friction coefficient times the direction of motion.
+Therefore such products are features; some of them are forces, for which the network gives coefficients.
 
     traction = -sum_s mu_s w_s u(v - (v . n_s) n_s)      Coulomb friction of floor, walls and the nearest solid
     damping  = -alpha u(v)                               u(v) = v / sqrt(|v|^2 + v0^2)
@@ -10,16 +10,16 @@ motion. So these are features, and some of them are forces, of which the network
                                                          mu of a ground + |v|^2 / (xi h), Voellmy's turbulence
     strength = r / (1 + r),  r = c / (rho g (h + cell))  cohesion over the weight h of the column above
 
-The basal friction is that of a layer which slides as a whole (Savage & Hutter, J. Fluid Mech. 199, 1989, eq. 2.21):
-its friction on the floor or the ground, or above a rougher one within itself. It acts on the displacement v* along the
-floor or the ground that gravity alone would lead to, and at most stops it. On the background grid, sand that shears
-bears a stress of its strength along its rate of strain (von Mises' flow rule, e.g. Jop, Forterre & Pouliquen, Nature
-441, 2006, eq. 2, without the dependence on the rate), beside the pressure p = rho g h of the column above:
+The basal friction is that of a layer which slides as a whole (Savage & Hutter, J. Fluid Mech. 199, 1989, eq. 2.21): its
+friction on the floor or the ground or, if rougher, within itself. It acts on the displacement v* along the floor or
+ground that gravity alone would cause, and at most stops it. On the background grid, shearing sand carries a stress of
+its strength along its rate of strain (von Mises' flow rule, e.g. Jop, Forterre & Pouliquen, Nature 441, 2006, eq. 2,
+without rate dependence), besides the pressure p = rho g h of the column above:
 
     pressure = -grad p / (rho g)
     shear    = div S / (rho g),   S = (c + p tan(phi)) D' / (|D'| + d0),   |D'| = sqrt(D' : D' / 2)
 
-with the deviatoric rate of strain D' [1 per step]. On cells as coarse as these both are rough estimates.
+with the deviatoric rate of strain D' [1 per step]. On such coarse cells both are rough estimates.
 
 | symbol | variable                          | meaning                                            |
 | w_s    | 1 - distance / radius, at least 0 | how near the surface is                            |
@@ -42,14 +42,14 @@ from gns.surroundings.grid import CHANNELS, REFERENCE_HEIGHT, Stencil, stencil_o
 from gns.surroundings.solids import Below, solid_features, upward
 from gns.surroundings.state import Conditions, State, computed
 
-FORCES = ("basal friction", "traction", "damping", "shear", "pressure")  # of which the network gives the shares
+FORCES = ("basal friction", "traction", "damping", "shear", "pressure")  # for which the network gives coefficients
 SLOW = 0.1  # displacement over the root mean square one below which the direction of motion fades [-]
-ROUNDED = 0.1  # change of the motion over `slow` below which its amount is rounded: a kink has no useful derivative [-]
-EMPTY = 0.05  # share of a cell that is filled below which the mean of what is in it fades [-]
-LOOSE = 0.3  # share of a cell that is filled below which a force is that on so much material [-]
-SMOOTHED = 2  # means over three nodes along each level axis that the height of a column is smoothed by
-UNEVEN = {2: 1.06, 3: 1.0}  # the steepest tangent of such heights over that of a plane slope; in 3D smoothing evens it
-LARGEST = 3.0  # the weight of the material that a force on the grid approaches at most [-]
+ROUNDED = 0.1  # change of the motion over `slow` below which its size is rounded: a kink has no useful derivative [-]
+EMPTY = 0.05  # filled share of a cell below which the mean of its content fades [-]
+LOOSE = 0.3  # filled share of a cell below which a force counts as acting on this share of material [-]
+SMOOTHED = 2  # number of means over three nodes along each horizontal axis that smooth the height of a column
+UNEVEN = {2: 1.06, 3: 1.0}  # steepest tangent of such heights over that of a plane slope; in 3D smoothing removes it
+LARGEST = 3.0  # upper limit of a force on the grid, over the weight of the material [-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,13 +57,13 @@ class Normalisation:
     """Statistics of the training data at the model's step, as numbers or as a model's tensors."""
 
     displacement_scale: float | Tensor = 1.0  # root mean square displacement of a particle in a step [m]
-    acceleration_scale: float | Tensor = 1.0  # root mean square change of that from step to step, without gravity's [m]
+    acceleration_scale: float | Tensor = 1.0  # root mean square change of it per step, without gravity's [m]
     friction_mean: float | Tensor = 0.0  # mean of tan(phi) [-]
     friction_std: float | Tensor = 1.0  # standard deviation of tan(phi) [-]
 
 
 class Moment:
-    """N particles at one moment, in the units of the model; each property is computed when it is first asked for."""
+    """N particles at one moment, in the units of the model; each property is computed on first access."""
 
     def __init__(self, state: State, conditions: Conditions, settings: ModelSettings, scales: Normalisation) -> None:
         self.state, self.conditions, self.settings, self.normalisation = state, conditions, settings, scales
@@ -76,7 +76,7 @@ class Moment:
 
     @cached_property
     def solids(self) -> Tensor:
-        """`solid_features`, shape [N, 3 D + 2]; Voellmy's turbulence as friction of a bed that is near."""
+        """`solid_features`, shape [N, 3 D + 2]; Voellmy's turbulence counts as friction of a nearby bed."""
         nearby = solid_features(self.state.positions, self.conditions, self.settings.radius)
         if self.drag is None:
             return nearby
@@ -95,7 +95,7 @@ class Moment:
 
     @cached_property
     def below(self) -> Below:
-        """The places of the particles on the raster of the ground, where there is one."""
+        """The places of the particles on the raster of the ground, if there is one."""
         assert self.conditions.ground is not None
         return Below(self.state.positions, self.conditions.ground, self.conditions.batch)
 
@@ -110,7 +110,7 @@ class Moment:
 
     @cached_property
     def column(self) -> Tensor:
-        """The same at the particles, shape [N, columns of `CHANNELS`]."""
+        """These channels at the particles, shape [N, columns of `CHANNELS`]."""
         return self.stencil.gather(self.nodes)
 
     @property
@@ -149,7 +149,7 @@ class Moment:
 
     @cached_property
     def basal(self) -> Tensor:
-        """Basal friction [-], shape [N, D]; above a ground along it, with its own friction and Voellmy's turbulence."""
+        """Basal friction [-], shape [N, D]; along a ground with its own friction and Voellmy's turbulence."""
         conditions, velocity = self.conditions, self.velocity
         gravity = conditions.of_particles(conditions.gravity) * self.settings.step**2
         trial, friction = velocity + gravity, conditions.of_particles(conditions.floor_friction)
@@ -158,12 +158,12 @@ class Moment:
         if conditions.ground is not None and self.settings.bed_friction:
             elevation, slope = self.below.value_and_slope(conditions.ground.elevation)
             rough = self.below.value(conditions.ground.friction) + self.turbulence
-            # The ground is nowhere lower than the floor, but for samples of a batch that have none.
+            # The ground is nowhere lower than the floor, except for samples of a batch without ground.
             friction, upwards = torch.where(elevation >= 0.0, rough, friction), upward(slope)
         trial = trial - (trial * upwards).sum(dim=1, keepdim=True) * upwards
         normal = -(gravity * upwards).sum(dim=1)
         most = (torch.minimum(friction, conditions.friction) * normal.clamp(min=0.0)).unsqueeze(1)
-        # On a smooth floor too the root has a slope at zero.
+        # So that the root has a slope at zero on a smooth floor, too.
         size = (trial.square().sum(dim=1, keepdim=True) + most.square() + (1.0e-3 * self.slow) ** 2).sqrt()
         return -most * trial / size / self.fall
 
@@ -175,7 +175,7 @@ class Moment:
 
     @cached_property
     def internal(self) -> Tensor:
-        """Shear, then pressure [-], shape [N, 2 D]; walls bear no shear here: that is the traction."""
+        """Shear, then pressure [-], shape [N, 2 D]; walls carry no shear here, which is part of the traction."""
         stencil, conditions, dimension = self.stencil, self.conditions, self.settings.dimension
         cell, shape, axes = stencil.cell, (stencil.samples, *stencil.shape), range(dimension)
         above = REFERENCE_HEIGHT * self.nodes[:, 1]
@@ -192,7 +192,7 @@ class Moment:
         pairs = [(i, j) for i in axes for j in range(i, dimension)]
         rate = {(i, j): 0.5 * (gradient[j][..., i] + gradient[i][..., j]) - (mean if i == j else 0) for i, j in pairs}
         square = sum((1.0 if i == j else 2.0) * part.square() for (i, j), part in rate.items())
-        # Not the root alone: it has no slope at zero.
+        # Not the root alone, which has no slope at zero.
         slow = self.slow / cell
         scale = fields[..., dimension] / ((0.5 * square + slow**2).sqrt() + slow)
         stress = stencil.within(torch.stack([scale * part for part in rate.values()], dim=-1), conditions.size, axes)
@@ -203,14 +203,14 @@ class Moment:
         return stencil.gather(LARGEST * torch.tanh(torch.cat((shear, pressure), dim=1) / LARGEST))
 
     def stands(self) -> Tensor:
-        """Whether each flow can lie as it does: no known law lets it move from rest; bool, shape [B, 1].
+        """Whether each flow can stay at rest: no known law sets it in motion; bool, shape [B, 1].
 
             tan(a_s) <= tan(phi),    tan(a_b) + K |grad h| <= min(mu, tan(phi)),    K = (1 - sin(phi)) / (1 + sin(phi))
 
         for the inclinations a_s of the surface and a_b of the bed against the horizontal below every particle: limit
-        equilibrium of an infinite slope, and of a column on its bed between active pressures (Rankine 1857). The
-        heights h of the columns are smoothed over the nodes around each: what single particles add is no slope. That
-        leaves steepness a scatter of `UNEVEN`.
+        equilibrium of an infinite slope, and of a column on its bed between active pressures (Rankine 1857). Column
+        heights h are smoothed over neighbouring nodes, so that single particles cause no slope; steepness keeps a
+        scatter of `UNEVEN`.
         """
         conditions, stencil, level = self.conditions, self.stencil, [*range(0, self.settings.dimension, 2)]
         height = REFERENCE_HEIGHT * self.nodes[:, 2].view(stencil.samples, *stencil.shape)
@@ -233,7 +233,7 @@ class Moment:
         return conditions.total(slips.to(slope).unsqueeze(1)) == 0.0
 
     def unit(self, vectors: Tensor) -> Tensor:
-        """Directions of vectors [..., D], which fade where they are shorter than `slow`."""
+        """Directions of vectors [..., D]; they fade for vectors shorter than `slow`."""
         return vectors / (vectors.square().sum(dim=-1, keepdim=True) + self.slow**2).sqrt()
 
 

@@ -1,6 +1,6 @@
-"""The background grid: particles to nodes and back, the column of material and the room at a node.
+"""The background grid: particles to nodes and back, the column of material and the free space at a node.
 
-Weights are multilinear; all of it is differentiable in the positions, the ground and the baffles.
+Weights are multilinear; everything is differentiable in the positions, the ground and the baffles.
 """
 
 import math
@@ -17,23 +17,23 @@ from gns.surroundings.solids import Below, Boxes, rotated
 from gns.surroundings.state import Conditions, Ground, Input
 
 REFERENCE_HEIGHT = 0.1  # unit of overburden and height [m]
-MARGIN = 3  # nodes around the particles that a grid has at least, where the box does not end
-MULTIPLE = 4  # numbers of nodes are multiples of this, so that grids of few shapes recur
-LEAST_SHARE = 0.25  # of a cell that a wall cuts off, this counts as room at least: what lies on it is not so dense
+MARGIN = 3  # least number of nodes around the particles, except where the box ends
+MULTIPLE = 4  # numbers of nodes are multiples of this, so that few grid shapes occur
+LEAST_SHARE = 0.25  # least free share of a cell cut off by a wall: the material on the wall is not that dense
 CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # of a box in its plane over its half, counterclockwise
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stencil:
-    """The grid nodes around each particle and their weights. A sample's grid covers its particles alone, its nodes at
-    multiples of the cell from the box's lower corner. Values are flat, [B * nodes, C], fastest in the last axis."""
+    """The grid nodes around each particle and their weights. A sample's grid covers only its particles, with nodes at
+    multiples of the cell from the box's lower corner. Values are flat, [B * nodes, C], the last axis fastest."""
 
-    shape: tuple[int, ...]  # grid nodes along each axis, of all samples alike
+    shape: tuple[int, ...]  # grid nodes along each axis, the same for all samples
     origin: Tensor  # the first node of each sample, counted from the lower corner of its box, int64, shape [B, D]
     cell: float  # edge of a grid cell [m]
     nodes: Tensor  # flat index of the 2^D nodes around each particle, shape [2^D, N]
     weights: Tensor  # multilinear weights, they sum to one over the first axis, shape [2^D, N]
-    own: Tensor | None = None  # 1 at nodes that a sample has alone too, else 0, [B, *`shape`, 1]; absent where all are
+    own: Tensor | None = None  # 1 at nodes that a sample alone would have, else 0, [B, *`shape`, 1]; None if all are
 
     @property
     def samples(self) -> int:
@@ -55,8 +55,8 @@ class Stencil:
         return [self.cell * (self.origin[:, i, None] + nodes).to(like.dtype) for i, nodes in enumerate(counted)]
 
     def within(self, field: Tensor, size: Tensor, axes: Iterable[int]) -> Tensor:
-        """A field [B, X, Y(, Z), ...] whose values beyond the walls across `axes` are those of the last node before: a
-        derivative at a wall has no step in it. size: of the boxes [m], shape [B, D]."""
+        """A field [B, X, Y(, Z), ...] whose values beyond walls across `axes` repeat the last node, so that a
+        derivative at a wall has no step. size: of the boxes [m], shape [B, D]."""
         for axis in axes:
             count = field.shape[axis + 1]
             node = self.origin[:, axis, None] + torch.arange(count, device=field.device)
@@ -67,7 +67,7 @@ class Stencil:
         return field
 
     def cells(self, size: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-        """Where the nodes' cells begin and end in the box [0, size] along each axis [m], each [B, nodes along it]."""
+        """Begin and end of the nodes' cells in the box [0, size] along each axis [m], each [B, nodes along it]."""
         nodes = self.coordinates(size)
         begin = [(node - 0.5 * self.cell).clamp(min=0.0) for node in nodes]
         end = [torch.minimum(node + 0.5 * self.cell, size[:, axis, None]) for axis, node in enumerate(nodes)]
@@ -76,7 +76,7 @@ class Stencil:
 
 def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | None) -> Stencil:
     """The stencil of `positions` [m], shape [N, D], on grids with cells of edge `cell` in the boxes [0, size].
-    size: [m], shape [B, D]; batch: sample of each particle, shape [N], absent where there is one."""
+    size: [m], shape [B, D]; batch: sample of each particle, shape [N], None if there is only one."""
     scaled, dimension = positions / cell, positions.shape[1]
     base = scaled.detach().floor().long()
     index = torch.zeros_like(base[:, 0]) if batch is None else batch
@@ -100,7 +100,7 @@ def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | Non
 
 
 def spread(values: Tensor, axis: int, dimension: int) -> Tensor:
-    """Values along an axis [B, X] as a field of as many axes as space, of one node along the others."""
+    """Values along an axis [B, X] as a field in all axes of space, with one node along the others."""
     return values.view(len(values), *(-1 if other == axis else 1 for other in range(dimension)))
 
 
@@ -114,7 +114,7 @@ def column_features(stencil: Stencil, conditions: Conditions) -> Tensor:
     """
     size, shape, cell, level = conditions.size, stencil.shape, stencil.cell, plan_axes(len(stencil.shape))
     filled = stencil.scatter(conditions.volume.unsqueeze(1)).view(stencil.samples, *shape) / cell ** len(shape)
-    # A node on a wall stands for half a cell: divide, or the material beside a wall would look loose.
+    # A node on a wall represents half a cell: undivided, the material beside a wall would look loose.
     shares = [((last - first) / cell).clamp(min=LEAST_SHARE) for first, last in zip(*stencil.cells(size), strict=True)]
     layers, packing = filled * (cell / REFERENCE_HEIGHT), filled / spread(shares[UP], UP, len(shape))
     for axis in level:
@@ -130,7 +130,7 @@ def column_features(stencil: Stencil, conditions: Conditions) -> Tensor:
 
 def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
     """Share of each node's cell that lies beyond the walls, below the ground or in baffles [-], shape [B * nodes, 1]. A
-    cell is the box of that edge around its node. Baffles take their share of what walls and ground leave."""
+    cell is the box with the grid's cell size around its node. Baffles take a share of what walls and ground leave."""
     begin, end = stencil.cells(conditions.size)
     length = [last - first for first, last in zip(begin, end, strict=True)]
     axes = "xyz"[: len(length)]
@@ -146,7 +146,7 @@ def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
             overlap = torch.minimum(upper, end[axis].unsqueeze(1)) - torch.maximum(lower, begin[axis].unsqueeze(1))
             parts[name] = overlap.clamp(min=0.0) * inverse[axis].unsqueeze(1)
         if conditions.baffle_turn is not None:
-            # Where cells that follow each other along these axes meet.
+            # Boundaries between successive cells along these axes.
             x, z = (torch.cat((begin[i][:, :1], torch.minimum(end[i], end[i][:, -1:])), dim=1) for i in (0, -1))
             del parts[axes[0]], parts[axes[-1]]
             parts[axes[0] + axes[-1]] = _area(boxes, x, z) * inverse[0][:, None, :, None] * inverse[-1][:, None, None]
@@ -155,7 +155,7 @@ def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
     return (1.0 - room).clamp(min=0.0).reshape(-1, 1)
 
 
-# Of a node of the grid, from a stencil and the conditions.
+# Channels of a grid node, from a stencil and the conditions.
 CHANNELS = {
     "packing, overburden, height and slope of the column": Input(lambda s: s.dimension + 2, column_features),
     "share of the cell that is no room": Input(lambda s: 1, occupancy),
@@ -171,9 +171,9 @@ def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
     half = torch.stack((boxes.half[..., 0], boxes.half[..., -1]), dim=-1)
     corners = half.unsqueeze(2) * half.new_tensor(CORNERS)
     vertices = rotated(corners, *(component.unsqueeze(2) for component in boxes.turn))
-    # Farther than any vertex, where the gradient would be one of two.
+    # Beyond any vertex, at which the gradient would be ambiguous.
     extent = 1.1 * vertices.detach().abs().amax(dim=2)
-    # From the middle of the box: [B, K, 1, X + 1].
+    # Measured from the middle of the box: [B, K, 1, X + 1].
     x, z = (
         (edges.unsqueeze(1) - boxes.middle[..., axis, None]).clamp(-extent[..., axis, None], extent[..., axis, None])
         for axis, edges in ((0, x), (-1, z))
@@ -184,7 +184,7 @@ def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
     rise = torch.where(run == 0.0, 0.0, (zeta1 - zeta0) / torch.where(run == 0.0, 1.0, run))
     first, last = torch.minimum(s0, x), torch.minimum(s1, x)
     g0 = (zeta0 + (first - s0) * rise).unsqueeze(4) - z
-    # An edge across the first axis has no rise, but a slope with its turn.
+    # An edge across the first axis has no rise, but a derivative with respect to its turn.
     g1 = torch.where(s1 <= x, zeta1, zeta0 + (last - s0) * rise).unsqueeze(4) - z
     low0, low1 = g0.clamp(max=0.0), g1.clamp(max=0.0)
     mixed = (low0 < 0.0) != (low1 < 0.0)
@@ -196,8 +196,8 @@ def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
 
 
 def _buried(ground: Ground, begin: list[Tensor], end: list[Tensor]) -> Tensor:
-    """Share of the cells of the nodes that lies below the ground [-], shape [B, X, Y(, Z)].
-    begin, end: of the part of a cell that is in the box along each axis [m], shape [B, nodes along it]."""
+    """Share of the nodes' cells that lies below the ground [-], shape [B, X, Y(, Z)]. begin, end: of the part of a cell
+    inside the box along each axis [m], shape [B, nodes along it]."""
     dimension = len(begin)
     middles = [spread(0.5 * (begin[axis] + end[axis]), axis, dimension) for axis in range(dimension)]
     middles[UP] = torch.zeros_like(middles[UP][:, :, :1])

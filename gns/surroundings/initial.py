@@ -1,4 +1,4 @@
-"""What a rollout begins with: a scene at time 0, or the end of the MPM's first frames; and what is around its flow."""
+"""The start of a rollout, from a scene at time 0 or the end of the MPM's first frames, and the flow's surroundings."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,7 +23,7 @@ from gns.surroundings.units import Units
 
 @dataclass(frozen=True, kw_only=True)
 class InitialState(Tensors):
-    """All that a rollout begins with. An unknown of an inversion replaces a part of it, differentiably."""
+    """The complete start of a rollout. An unknown of an inversion replaces a part of it, differentiably."""
 
     state: State  # positions and past displacements of the particles
     conditions: Conditions  # material, volumes, box, gravity, baffles
@@ -36,7 +36,7 @@ class InitialState(Tensors):
 
     @property
     def times(self) -> NDArray[np.float64]:
-        """Times of the known positions and of those to come [s], shape [F + steps]."""
+        """Times of the known and the predicted positions [s], shape [F + steps]."""
         return self.step * np.arange(len(self.known) + self.steps, dtype=np.float64)
 
     @property
@@ -46,19 +46,19 @@ class InitialState(Tensors):
         return np.repeat(np.arange(len(counts), dtype=np.int32), counts)[self.indices]
 
     def of_mass(self, mass: int | None) -> Tensor:
-        """Whether each particle belongs to `mass`, for None to any mass of the scene's shared material; bool, [n]."""
+        """Whether each particle belongs to `mass` or, for None, to any mass of the scene's shared material; [n]."""
         shared = np.array([body.material is None for body in self.scene.masses])
         return torch.from_numpy(shared[self.mass] if mass is None else self.mass == mass)
 
     def with_conditions(self, **changes: Any) -> "InitialState":
-        """The same state under other conditions, those of `Conditions` by name."""
+        """The same state with changed `Conditions`, given by name."""
         return replace(self, conditions=replace(self.conditions, **changes))
 
 
 def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | None = None) -> InitialState:
-    """The initial state of `scene` for a model of these settings; which particles stay is always the same choice.
-    frames: a run of the scene by the MPM, whose last frame is where the rollout begins; without it that is time 0.
-    Raises InputError for a scene that no such model represents (`check`), and for frames that do not fit."""
+    """The initial state of `scene` for a model of these settings; the choice of particles is always the same. frames:
+    an MPM run of the scene; the rollout begins at its last frame, by default at time 0. Raises InputError for a scene
+    that no such model represents (`check`), and for frames that do not fit."""
     check(scene, settings)
     units = Units.of_model(scene, settings)
     step = units.time * settings.step
@@ -89,7 +89,7 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
 
 
 def resampled(frames: Trajectory, step: float) -> Floats:
-    """Positions of a run `step` [s] apart from its start on, between its frames linear in time [m], shape [F, N, D]."""
+    """Positions of a run every `step` [s] from its start on, linear in time between its frames [m], shape [F, N, D]."""
     if len(frames.time) == 1:
         return frames.positions
     count = int(frames.time[-1] / step + 1.0e-6) + 1
@@ -99,27 +99,27 @@ def resampled(frames: Trajectory, step: float) -> Floats:
 
 
 def check(scene: Scene, settings: ModelSettings) -> None:
-    """Raise InputError for a scene that no model of these settings represents: the key, and what was expected."""
+    """Raise InputError for a scene that no model of these settings represents, with key and expectation."""
     dimension = settings.dimension
     require(scene.dimension == dimension, "", f"a {dimension}D scene, as the model's", f"{scene.dimension}D")
     materials = [scene.material_of(mass) for mass in scene.masses]
     refused = [
         (bool(scene.open_sides), "open_sides", "a closed box"),
-        (bool(scene.stages), "stages", "a material that stays as it is"),
-        (any(mass.kind == INFLOW for mass in scene.masses), "masses", "masses that are there from the start"),
-        (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
+        (bool(scene.stages), "stages", "a material that does not change"),
+        (any(mass.kind == INFLOW for mass in scene.masses), "masses", "masses present from the start"),
+        (any(mass.release is not None for mass in scene.masses), "masses", "masses free from the start"),
         (any(material.saturated for material in materials), "material.saturated", "dry material"),
         (len({material.density for material in materials}) > 1, "masses", "masses of one density"),
         *((material.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for material in materials),
     ]
     for place, baffle in keyed(scene, "baffles").items():
-        refused.append((baffle.turbulence is not None, f"{place}.turbulence", "Coulomb friction alone"))
+        refused.append((baffle.turbulence is not None, f"{place}.turbulence", "only Coulomb friction"))
     for place, solid in keyed(scene, "solids").items():
-        refused.append((solid.kind != "terrain", f"{place}.kind", "baffles and terrain alone"))
-        refused.append((solid.contact != "coulomb", f"{place}.contact", "Coulomb friction alone"))
+        refused.append((solid.kind != "terrain", f"{place}.kind", "only baffles and terrain"))
+        refused.append((solid.contact != "coulomb", f"{place}.contact", "only Coulomb friction"))
     for bad, key, expected in refused:
         if bad:
-            raise InputError(f"expected {expected}, the model knows no other", key=key)
+            raise InputError(f"expected {expected}, the model supports no other", key=key)
 
 
 def conditions_of(scene: Scene, spacing: float, friction: Any, cohesion: Any, volume: Any, units: Units) -> Conditions:
@@ -134,7 +134,7 @@ def conditions_of(scene: Scene, spacing: float, friction: Any, cohesion: Any, vo
         drag = turbulence_raster(scene, spacing)
         drags = None if drag is None else one(drag)
         ground = Ground(elevation=one(elevation), friction=one(roughness), spacing=spacing, drag=drags)
-    # Sand shears above what is rougher than itself.
+    # Above a surface rougher than itself, sand shears.
     frictions = scene.floor_friction, scene.wall_friction, *map(scene.friction_of, scene.baffles)
     floor, wall, *rough = (coefficient(surface, 1.0) for surface in frictions)
     lower, extent = (np.array([getattr(box, key) for box in scene.baffles], np.float32) for key in ("lower", "size"))

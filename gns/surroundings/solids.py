@@ -1,7 +1,7 @@
 """Baffles and ground as geometry: signed distances, outward directions and friction, as features of the particles.
 
-Baffles are boxes that may be turned; the ground is a raster, multilinear between its elevations. All is differentiable
-in positions, corners, turns and elevations. Only the particles near a baffle are processed.
+Baffles are boxes that may be turned; the ground is a raster, multilinear between its elevations. Everything is
+differentiable in positions, corners, turns and elevations. Only particles near a baffle are processed.
 """
 
 import math
@@ -25,11 +25,11 @@ class Boxes:
 
     middle: Tensor  # [m], shape [n, K, D]
     half: Tensor  # half of the extent along its own axes [m], shape [n, K, D]
-    turn: tuple[Tensor, Tensor] | None  # its cosine and sine [-], shape [n, K] each; absent where none is turned
+    turn: tuple[Tensor, Tensor] | None  # its cosine and sine [-], shape [n, K] each; None if none is turned
 
     @staticmethod
     def of_conditions(conditions: Conditions, margin: float = 0.0) -> "Boxes":
-        """The baffles of each sample, n = B; margin: by which they are larger on every side [m]."""
+        """The baffles of each sample, n = B; margin: enlargement on every side [m]."""
         assert conditions.baffles is not None
         lower, upper = conditions.baffles.unbind(dim=2)
         angle = conditions.baffle_turn
@@ -37,7 +37,7 @@ class Boxes:
         return Boxes(middle=0.5 * (lower + upper), half=0.5 * (upper - lower) + margin, turn=turn)
 
     def mapped(self, change: Callable[[Tensor], Tensor]) -> "Boxes":
-        """The boxes after the same change of all their tensors."""
+        """The boxes with the same change applied to all tensors."""
         turn = None if self.turn is None else (change(self.turn[0]), change(self.turn[1]))
         return Boxes(middle=change(self.middle), half=change(self.half), turn=turn)
 
@@ -45,7 +45,7 @@ class Boxes:
         return self.mapped(lambda part: part.index_select(0, rows))
 
     def one(self, box: Tensor) -> "Boxes":
-        """Of n rows the box with this number [n] alone, K = 1."""
+        """In each of n rows only the box with this number [n], K = 1."""
         return self.mapped(lambda part: part[torch.arange(len(box), device=box.device), box].unsqueeze(1))
 
     def in_axes(self, points: Tensor) -> Tensor:
@@ -54,11 +54,11 @@ class Boxes:
         return vectors if self.turn is None else rotated(vectors, self.turn[0], -self.turn[1])
 
     def world_vectors(self, vectors: Tensor) -> Tensor:
-        """Vectors [n, K, D] from the axes of their boxes in those of the scene."""
+        """Vectors [n, K, D] turned from the axes of their boxes into those of the scene."""
         return vectors if self.turn is None else rotated(vectors, *self.turn)
 
     def contain(self, points: Tensor, slack: float) -> Tensor:
-        """Which points [n, D] are farther than `slack` [m] inside which box, shape [n, K]."""
+        """Whether each point [n, D] is more than `slack` [m] inside each box, shape [n, K]."""
         return (self.in_axes(points).abs() < self.half - slack).all(dim=2)
 
 
@@ -72,10 +72,10 @@ def rotated(vectors: Tensor, cosine: Tensor, sine: Tensor, *, symmetric: bool = 
 
 
 class Below:
-    """The places of a raster below particles; what is asked for there is looked up, nothing else."""
+    """The places on a raster below particles; fields are looked up there on request."""
 
     def __init__(self, positions: Tensor, ground: Ground, batch: Tensor | None) -> None:
-        """positions: [m], shape [N, D]; batch: sample of each particle, shape [N], absent where there is one."""
+        """positions: [m], shape [N, D]; batch: sample of each particle, shape [N], None if there is only one."""
         self._shape, self._spacing = ground.elevation.shape[1:], ground.spacing
         index: Tensor | int = 0 if batch is None else batch
         self._shares = []
@@ -124,7 +124,7 @@ def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     | outward direction      | of these: sum_k (w_k^2 / sum_j w_j) n_k, w = max(1 - distance / cutoff, 0)   |
     | friction               | of these: sum_k (w_k^2 / sum_j w_j) mu_k [-]                                 |
 
-    n is a solid's outward unit normal and mu its friction. All of it is continuous where another solid becomes the
+    n is a solid's outward unit normal and mu its friction. All features are continuous where another solid becomes the
     nearest, and where the last one leaves the cutoff.
     """
     above = conditions.of_particles(conditions.size) - positions
@@ -145,7 +145,7 @@ def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> 
 
 
 def _shares(weights: Tensor, dim: int) -> Tensor:
-    """Those of weights, the negative ones of which count as zero, in their sum along `dim`; 0 where that is 0."""
+    """Shares of weights in their sum along `dim`, negative ones counted as zero; 0 where the sum is 0."""
     weights = weights.clamp(min=0.0)
     total = weights.sum(dim=dim, keepdim=True)
     return weights / torch.where(total > 0.0, total, 1.0)
@@ -153,9 +153,9 @@ def _shares(weights: Tensor, dim: int) -> Tensor:
 
 def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> tuple[Tensor, ...]:
     """Signed distance [m], shape [N], of the nearest baffle; outward direction [-], [N, D], and friction [-], [N].
-    Direction and friction as `solid_features` weighs them. With q = |x| - half the box, per axis and x from its middle
-    in its own axes, the distance of a box is |max(q, 0)| outside and max(q), negative, inside (the exact distance
-    function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1), at most `cutoff` [m]."""
+    Direction and friction are weighted as in `solid_features`. With q = |x| - half the box, per axis and x from its
+    middle in its own axes, the distance of a box is |max(q, 0)| outside and max(q), negative, inside (the exact
+    distance function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1), at most `cutoff`."""
     direction = torch.zeros_like(positions)
     distance, rough = torch.full_like(direction[:, 0], cutoff), torch.zeros_like(direction[:, 0])
     boxes = Boxes.of_conditions(conditions)
@@ -167,7 +167,7 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     q = x.abs() - boxes.half
     square = q.clamp(min=0.0).square().sum(dim=2)
     outside = square > 0.0
-    # The root has no slope at zero: on the surface the distance is that to the face.
+    # The root has no slope at zero: on the surface the distance is measured to the face.
     distances = torch.where(outside, torch.where(outside, square, 1.0).sqrt(), q.max(dim=2).values)
     weight = 1.0 - distances / cutoff
     weight = weight.clamp(min=0.0) * _shares(weight, dim=1)
@@ -181,10 +181,10 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
 
 
 def close_to(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Particles whose way from `first` to `last` [N, D] comes within about `margin` [m] of a baffle: index, sample."""
+    """Particles whose path from `first` to `last` [N, D] comes within about `margin` [m] of a baffle: index, sample."""
     with torch.no_grad():
         low, high = torch.minimum(first, last).unsqueeze(1), torch.maximum(first, last).unsqueeze(1)
-        # Of a turned box the extent along the axes of the scene.
+        # For a turned box, the extent along the axes of the scene.
         half = boxes.half if boxes.turn is None else rotated(boxes.half, *map(torch.abs, boxes.turn), symmetric=True)
         lower, upper = boxes.middle - half - margin, boxes.middle + half + margin
         if batch is not None:
@@ -198,7 +198,7 @@ def _normals(x: Tensor, half: Tensor, q: Tensor, radius: float) -> Tensor:
     arm = (q + half.clamp(max=radius)).clamp(min=0.0)
     square = arm.square().sum(dim=2, keepdim=True)
     outside = square > 0.0
-    # Deep inside it is the normal of the nearest face.
+    # Inside, it is the normal of the nearest face.
     face = torch.nn.functional.one_hot(q.argmax(dim=2), q.shape[2]).to(q)
     normal = torch.where(outside, arm / torch.where(outside, square, 1.0).sqrt(), face)
     return torch.where(x < 0.0, -normal, normal)
@@ -211,8 +211,8 @@ def upward(slope: Tensor) -> Tensor:
 
 
 def nearest_ground(positions: Tensor, ground: Ground, batch: Tensor | None, cutoff: float) -> tuple[Tensor, ...]:
-    """Distance [m], outward direction and friction [-] of the ground, as `nearest_baffle` has those of baffles. The
-    distance is that of the plane that touches the ground straight below, (y - h) / sqrt(1 + |grad h|^2)."""
+    """Distance [m], outward direction and friction [-] of the ground, like `nearest_baffle` for baffles. The distance
+    is measured to the tangent plane of the ground straight below, (y - h) / sqrt(1 + |grad h|^2)."""
     below = Below(positions, ground, batch)
     height, slope = below.value_and_slope(ground.elevation)
     normal = upward(slope)

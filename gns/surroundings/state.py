@@ -1,4 +1,4 @@
-"""What a simulation step takes and gives: state and conditions, and how they move between units and devices."""
+"""Input and output of a simulation step: state and conditions, and their transfer between units and devices."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,7 @@ from gns.surroundings.units import Units
 
 
 class Input(NamedTuple):
-    """An input of the network: its number of columns, and these, scaled to about one [-], shape [rows, columns]."""
+    """An input of the network: its number of columns, and their values, scaled to about one [-], [rows, columns]."""
 
     count: Callable[[ModelSettings], int]
     compute: Callable[..., Tensor]
@@ -26,20 +26,20 @@ def columns(features: Mapping[str, Input], settings: ModelSettings) -> int:
 
 
 def computed(features: Mapping[str, Input], *given: Any) -> Tensor:
-    """The columns of `features` beside each other in their order, each computed from what is `given`."""
+    """The columns of `features` side by side in their order, each computed from the arguments `given`."""
     return torch.cat([feature.compute(*given) for feature in features.values()], dim=1)
 
 
 ABSENT = -10.0
-"""Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
+"""Coordinates [m] of a box of zero size that replaces a missing baffle of a sample, and of missing ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tensors:
-    """A record of tensors, which move together."""
+    """A record of tensors that move together."""
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
-        """The same on another device, its real numbers in another precision; None leaves either as it is."""
+        """The same on another device, with real numbers in another precision; None: unchanged."""
         moved: dict[str, Any] = {}
         for name, value in vars(self).items():
             if isinstance(value, Tensor):
@@ -60,15 +60,15 @@ class State(Tensors):
 
     @staticmethod
     def observed(frames: Tensor, velocities0: Tensor, *, step: float, history: int) -> "State":
-        """From frames one step apart [F, N, D]; where they are too few, what came before had the initial velocities.
-        frames: [m], the last is now; velocities0: those at the first frame [m/s], shape [N, D]."""
+        """From frames one step apart [F, N, D]; if too few, initial velocities give the rest. frames: [m], the last is
+        the present; velocities0: those at the first frame [m/s], shape [N, D]."""
         before = (velocities0 * step).expand(history, *frames.shape[1:])
         return State(positions=frames[-1], displacements=torch.cat((before, frames[1:] - frames[:-1]))[-history:])
 
     def after(self, positions: Tensor, step: int) -> "State":
         """The state after so many steps of a rollout from here; positions: at its start and after each step [m]."""
         moved = torch.cat((self.displacements, positions[1 : step + 1] - positions[:step]))
-        # No views of the whole rollout, which would stay in memory.
+        # Copies: views would keep the whole rollout in memory.
         return State(positions=positions[step].clone(), displacements=moved[step:].clone())
 
     @staticmethod
@@ -80,7 +80,7 @@ class State(Tensors):
 
 @dataclass(frozen=True, kw_only=True)
 class Ground(Tensors):
-    """Terrain as a raster of elevations at the same distances in plan, from the corner of the box on."""
+    """Terrain as a raster of elevations at equal distances in plan, starting at the corner of the box."""
 
     elevation: Tensor
     """Elevation [m], shape [B, X], in 3D [B, X, Z]; may require a gradient."""
@@ -89,12 +89,12 @@ class Ground(Tensors):
     spacing: float
     """Distance between two elevations [m]."""
     drag: Tensor | None = None
-    """1 / xi of Voellmy's turbulent friction [s^2/m], of the same shape; absent where there is none."""
+    """1 / xi of Voellmy's turbulent friction [s^2/m], of the same shape; None without turbulence."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions(Tensors):
-    """What is constant during a rollout of B samples side by side; all that is a tensor may require a gradient."""
+    """The constants of a rollout of B samples side by side; each tensor may require a gradient."""
 
     friction: Tensor
     """tan(phi) of each particle [-], shape [N]."""
@@ -113,17 +113,17 @@ class Conditions(Tensors):
     damping: Tensor
     """Local damping [-], shape [B]."""
     batch: Tensor | None = None
-    """Sample that each particle belongs to, shape [N]; absent where there is one."""
+    """Sample that each particle belongs to, shape [N]; None if there is only one."""
     baffles: Tensor | None = None
     """Lower and upper corner of the K baffles of each sample before their turn [m], shape [B, K, 2, D]."""
     baffle_turn: Tensor | None = None
-    """Turn of these about their centres [rad], in 2D from x to y, in 3D from x to z, [B, K]; absent where none is."""
+    """Turn of these about their centres [rad], in 2D from x to y, in 3D from x to z, [B, K]; None if none is turned."""
     baffle_friction: Tensor | None = None
     """Coulomb coefficient of these baffles [-], shape [B, K]."""
     ground: Ground | None = None
-    """Terrain; absent where no sample has any."""
+    """Terrain; None if no sample has any."""
     units: Units = field(default_factory=Units)
-    """What one unit of the model is in these samples."""
+    """Size of the model's units in these samples."""
 
     def of_particles(self, values: Tensor) -> Tensor:
         """Values of the samples [B, ...], for each particle [N or 1, ...]."""
@@ -137,8 +137,8 @@ class Conditions(Tensors):
 
     @staticmethod
     def joined(samples: Sequence["Conditions"]) -> "Conditions":
-        """Samples side by side, of one each, all in the same units, differentiably. Missing baffles become boxes of no
-        size far outside, terrain ground far below; small rasters go on level."""
+        """Join conditions of one sample each, all in the same units, differentiably. Missing baffles become boxes of
+        zero size far outside, missing terrain becomes ground far below; small rasters continue level."""
         names = ("friction", "cohesion", "volume", "size", "gravity", "floor_friction", "wall_friction", "damping")
         together: dict[str, Any] = {name: torch.cat([getattr(sample, name) for sample in samples]) for name in names}
         counts = [0 if sample.baffles is None else sample.baffles.shape[1] for sample in samples]
@@ -162,7 +162,7 @@ class Conditions(Tensors):
 
 
 def in_model_units(state: State, conditions: Conditions) -> tuple[State, Conditions]:
-    """A state and its conditions in the units of the model; nothing else scales what a simulator is given."""
+    """A state and its conditions in the units of the model; nothing else scales the input of a simulator."""
     units, ground = conditions.units, conditions.ground
     if units == Units():
         return state, conditions
@@ -184,7 +184,7 @@ def in_model_units(state: State, conditions: Conditions) -> tuple[State, Conditi
 
 
 def level(ground: Ground | None, name: str, shape: Sequence[int], absent: float) -> Tensor:
-    """A raster of one sample's ground that goes on level up to a larger shape; where there is none a constant one."""
+    """A raster of one sample's ground, continued level to a larger shape; a constant raster without ground."""
     raster: Tensor | None = getattr(ground, name, None)
     if raster is None:
         return torch.full((1, *shape), absent)

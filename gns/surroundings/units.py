@@ -1,12 +1,12 @@
-"""The units that a flow is the same in, at any size. Nothing here needs torch.
+"""The units in which a flow is the same at any size. Nothing here needs torch.
 
-Dry rigid grains know no length (Froude similarity; for granular columns e.g. Lajeunesse, Monnier & Homsy, Phys. Fluids
-17, 103302, 2005). With the length l of the released body, gravity g and density rho
+Flows of dry rigid grains have no length scale of their own (Froude similarity; for granular columns e.g. Lajeunesse,
+Monnier & Homsy, Phys. Fluids 17, 103302, 2005). With the length l of the released body, gravity g and density rho
 
     x / l,    t / sqrt(l / g),    v / sqrt(g l),    sigma / (rho g l)
 
-are the same in a flume and on a hillside. A model runs every scene at its own size (`in_model_units`). The stiffness
-is left out, for sand that hardly yields under its own weight.
+are the same in a flume and on a hillside. A model runs every scene at its own size (`in_model_units`). The stiffness is
+left out, because sand hardly deforms under its own weight.
 """
 
 import math
@@ -20,7 +20,7 @@ from gns.settings import GRAVITY, ModelSettings
 
 @dataclass(frozen=True, kw_only=True)
 class Units:
-    """What one unit of length, time and stress is in a scene; those of a model's training data are all 1."""
+    """Size of the units of length, time and stress in a scene; all 1 for a model's training data."""
 
     length: float = 1.0  # [m]
     time: float = 1.0  # [s]
@@ -39,12 +39,12 @@ class Units:
 
     @staticmethod
     def of_model(scene: Scene, settings: ModelSettings) -> "Units":
-        """Those in which a model runs `scene`: its body gets the model's size, to a few per cent, since time is such
-        that the scene lasts whole steps, and length such that gravity is the model's. Raises InputError without."""
+        """The units in which a model runs `scene`: its body gets the model's size, to a few per cent, since the scene
+        lasts whole steps and gravity is the model's. Raises InputError without gravity."""
         if settings.body_length is None:
             return Units()
         if scene.gravity <= 0.0:
-            raise InputError("expected gravity, the model knows no flow without", key="gravity")
+            raise InputError("expected gravity: the model has no flows without it", key="gravity")
         body = released_volume(scene) ** (1.0 / scene.dimension)
         time = math.sqrt(body / settings.body_length * GRAVITY / scene.gravity)
         steps = max(1, round(scene.duration / (time * settings.step)))
@@ -54,7 +54,7 @@ class Units:
 
     @staticmethod
     def of_time(scene: Scene, settings: ModelSettings, time: float) -> "Units":
-        """Those in which gravity is the model's where a unit of time lasts `time` [s]."""
+        """The units with the model's gravity for a unit of time of `time` [s]."""
         length = time**2 * scene.gravity / GRAVITY
         density = scene.material_of(scene.masses[0]).density / settings.density
         return Units(length=length, time=time, stress=density * scene.gravity / GRAVITY * length)

@@ -1,4 +1,4 @@
-"""Training: samples of trajectories, the losses, the loop that lowers them; `dataset`, for a network of one's own."""
+"""Training: samples of trajectories, losses, the loop that lowers them; `dataset` serves a user's own network."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Samples as graphs of PyTorch Geometric, from which a network of one's own learns: `gns.training.dataset`."""
+"""Samples as graphs of PyTorch Geometric, to train a user's own network: `gns.training.dataset`."""
 
 from pathlib import Path
 
@@ -14,8 +14,8 @@ from gns.training.samples import Flows, flows_of, statistics, stretch
 
 
 def graph_of(state: State, conditions: Conditions, settings: ModelSettings, normalisation: Normalisation) -> Data:
-    """What Talus's own network is given of a state in the units of the model, without its background grid.
-    `x`: `gns.network.features.NODES`, shape [N, F]; `edge_index`: sender and receiver of each edge, shape [2, E];
+    """The input of Talus's own network for a state in the units of the model, without its background grid. `x`:
+    `gns.network.features.NODES`, shape [N, F]; `edge_index`: sender and receiver of each edge, shape [2, E];
     `edge_attr`: `gns.network.features.EDGES`, shape [E, D + 1]; `pos`: positions [m], shape [N, D]."""
     inputs = Inputs.of_moment(Moment(state, conditions, settings, normalisation))
     graph, (senders, receivers) = inputs.graph, inputs.graph.edge_index
@@ -24,7 +24,7 @@ def graph_of(state: State, conditions: Conditions, settings: ModelSettings, norm
 
 
 class Graphs(torch.utils.data.Dataset[Data]):
-    """The steps of all flows of a split; graph i is always of the same particles, and without noise always the same."""
+    """The steps of all flows of a split; graph i always has the same particles, and without noise the same numbers."""
 
     def __init__(self, flows: Flows, settings: ModelSettings, normalisation: Normalisation, noise: float) -> None:
         self.flows, self.settings, self.normalisation = flows, settings, normalisation
@@ -36,7 +36,7 @@ class Graphs(torch.utils.data.Dataset[Data]):
 
     def __getitem__(self, index: int) -> Data:
         """`graph_of` the state before a step; `y`: the acceleration from there to the state after it, shape [N, D].
-        That is the change of the displacements besides gravity's, over `normalisation.acceleration_scale`."""
+        That is the change of the displacements without gravity's part, over `normalisation.acceleration_scale`."""
         index = range(len(self))[index]
         number = int(np.searchsorted(self._ends, index, side="right"))
         flow, settings = self.flows[number], self.settings
@@ -61,10 +61,10 @@ def dataset(
         for batch in DataLoader(graphs, batch_size=8, shuffle=True):
             loss = (network(batch.x, batch.edge_index) - batch.y).square().mean()
 
-    folder: of `python -m mpm.generate`; settings: the model's dimension, step, cell, radius and history, the defaults
-    where absent; split: train, valid or test, all in the scales of train; noise: standard deviation of a random walk
-    that is added to the past displacements, at its end, over `displacement_scale`, so that a network learns to correct
-    its own errors (Sanchez-Gonzalez et al. 2020, section 4.2). Raises InputError.
+    folder: from `python -m mpm.generate`; settings: the model's dimension, step, cell, radius and history, or the
+    defaults; split: train, valid or test, all in the scales of train; noise: final standard deviation, over
+    `displacement_scale`, of a random walk added to the past displacements, so that a network learns to correct its own
+    errors (Sanchez-Gonzalez et al. 2020, section 4.2). Raises InputError.
     """
     settings, folder = settings or ModelSettings(), Path(folder)
     flows = flows_of(folder, split, settings)

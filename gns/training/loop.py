@@ -2,10 +2,10 @@
 
 Matrices are trained by Muon (Jordan et al. 2024), its steps as long as Adam's (Liu et al. 2025, arXiv 2502.16982,
 section 2.2), so that both share a learning rate; all else by Adam. A running average of the weights is scored and
-shipped. Either the steps of a model are trained, without an older correction, or its correction alone.
+shipped. A training fits either the steps of a model, and drops an older correction, or only its correction.
 
-Several processes (`torchrun --nproc-per-node N -m gns.train ...`) draw samples of their own, and train on the mean of
-their gradients, which `DistributedDataParallel` takes where a model is called as a module.
+Several processes (`torchrun --nproc-per-node N -m gns.train ...`) draw their own samples and train on the mean of their
+gradients, which `DistributedDataParallel` takes if a model is called as a module.
 """
 
 import io
@@ -55,12 +55,12 @@ class Position:
     """The progress of a run."""
 
     seconds: float = 0.0  # time spent [s], by the clock of the settings
-    updates: int = 0  # the position in the data too: each has a random stream of its own
+    updates: int = 0  # also the position in the data: each update has its own random stream
     best: float = math.inf  # smallest score of a validation
     scored: tuple[float, int] = (0.0, 0)  # seconds and updates at the last validation
-    rows: list[dict[str, float]] = field(default_factory=list)  # of log.csv: one a validation
+    rows: list[dict[str, float]] = field(default_factory=list)  # of log.csv, one per validation
     validated: list[float] = field(default_factory=list)  # time that each validation took [s]
-    losses: list[float] = field(default_factory=list)  # one of each update
+    losses: list[float] = field(default_factory=list)  # one per update
 
     def progress(self, training: TrainingSettings) -> float:
         """Share of the budget that is spent, in [0, 1]."""
@@ -68,7 +68,7 @@ class Position:
 
     def due(self, training: TrainingSettings) -> bool:
         """Whether a validation is due: after its interval and at the end, if there were updates since the last one.
-        Before the end only where it, and the last one too, leave validations within their share of the minutes."""
+        Before the end only if this validation and the last one keep validations within their share of the minutes."""
         wanted = self.progress(training) - share_of(training, *self.scored) >= 1.0 / training.validations - 1.0e-9
         if training.updates is None and self.validated:
             spent, once, share = sum(self.validated), self.validated[-1], training.validation_share
@@ -78,12 +78,12 @@ class Position:
 
 
 def share_of(training: TrainingSettings, seconds: float, updates: int) -> float:
-    """Share of the budget that so many seconds, or updates, are."""
+    """Share of the budget that `seconds` or `updates` make up."""
     return seconds / (60.0 * training.minutes) if training.updates is None else updates / training.updates
 
 
 def learning_rate(training: TrainingSettings, progress: float, updates: int) -> float:
-    """At `progress` in [0, 1] of the budget, after so many updates."""
+    """The learning rate at `progress` in [0, 1] of the budget, after `updates`."""
     cosine = 0.5 * (1.0 + math.cos(math.pi * progress))
     rate = training.final_learning_rate + (training.learning_rate - training.final_learning_rate) * cosine
     return rate * min(1.0, (updates + 1) / max(training.warmup, 1))
@@ -104,7 +104,7 @@ def fit(
     if resume and not (out / LAST).exists():
         raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
     if not resume and (out / LAST).exists():
-        raise InputError(f"it holds a training: --resume continues {LAST}, another --out begins anew", where=str(out))
+        raise InputError(f"holds a training: --resume continues {LAST}, another --out starts anew", where=str(out))
     if training.correct and begin is None:
         raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")
     with ExitStack() as stack:
@@ -115,7 +115,7 @@ def fit(
         flows, valid = load(datasets, model, training, progress=first)
         scenes: dict[str, list[Scene]] = {}
         for path, some in zip(datasets, flows, strict=True):
-            # Folders of a name are parts of one dataset.
+            # Folders of the same name are parts of one dataset.
             scenes.setdefault(path.name, []).extend(flow.scene for flow in some)
         simulator = untrained(model, flows) if begin is None else continued(begin, model, training)
         run = TrainingRun(simulator.to(where), flows, training, out, seed)
@@ -129,7 +129,7 @@ def fit(
         begun, baseline = clock() - position.seconds, begin is not None and training.validations > 1
         while True:
             position.seconds = clock() - begun
-            # The first process decides, so that all unroll the same steps, and a stop of one is a stop of all.
+            # The first process decides, so that all unroll the same steps; if one stops, all stop.
             wanted = position.due(training) or (baseline and not position.rows)
             progress, due, stops = sums(first * position.progress(training), first and wanted, stop())
             if stops or (progress >= 1.0 and not due):
@@ -141,7 +141,7 @@ def fit(
                 bar.update(100.0 * position.progress(training) - bar.n)
                 continue
             if first:
-                # Saved before, so that a stop costs no updates, and after.
+                # Saved before, so that a stop loses no updates, and after.
                 run.save()
                 with stop.at_once():
                     run.validate(valid, scenes, provenance)
@@ -154,7 +154,7 @@ def fit(
             run.save()
         if stops:
             raise stop.interrupt
-        # Or the line would follow the bar.
+        # Otherwise the line would follow the bar.
         bar.close()
         if first:
             history = checkpoint.load(out / BEST).provenance
@@ -199,7 +199,7 @@ class TrainingRun:
         loss.backward()
         norm = nn.utils.clip_grad_norm_(self.free, self.training.clip)
         if not math.isfinite(norm):
-            raise WorkFailed(f"the gradient of update {updates + 1} is not finite; {LAST} is older and whole")
+            raise WorkFailed(f"the gradient of update {updates + 1} is not finite; {LAST} holds an earlier state")
         for optimiser in self.optimisers:
             for group in optimiser.param_groups:
                 group["lr"] = rate
@@ -210,7 +210,7 @@ class TrainingRun:
         self.position.losses.append(loss.item())
 
     def validate(self, flows: Sequence[Flow], scenes: Mapping[str, list[Scene]], provenance: Mapping[str, Any]) -> None:
-        """Score the average by rollouts of `flows`, log it as row and picture, keep it with its card if it is best."""
+        """Score the average by rollouts of `flows`, log it with a picture, and save the model with its card if best."""
         simulator, position, out = self.average.module.eval(), self.position, self.out
         scores = evaluate(simulator, flows)
         total = validation_score(scores)
@@ -232,12 +232,12 @@ class TrainingRun:
         states = {name: part.state_dict() for name, part in self.parts.items()}
         settings, content = asdict(self.simulator.settings), io.BytesIO()
         torch.save({"settings": settings, "position": asdict(self.position), **states}, content)
-        # By Python: torch's own writer raises a RuntimeError where the disk is full.
+        # Written by Python: torch's own writer raises a RuntimeError if the disk is full.
         with files.replacing(self.out / LAST) as unfinished:
             unfinished.write_bytes(content.getbuffer())
 
     def restore(self) -> None:
-        """Go on where the run in `out` was. Raises InputError."""
+        """Continue from the saved run in `out`. Raises InputError."""
         with reading(self.out / LAST, f"the {LAST} of a run of these settings"):
             saved = torch.load(self.out / LAST, map_location="cpu", weights_only=True)
             if saved["settings"] != asdict(self.simulator.settings):
@@ -269,14 +269,14 @@ def draw(path: Path, position: Position) -> None:
 
 
 def averaged(decay: float, average: Tensor, current: Tensor, updates: Tensor) -> Tensor:
-    """The running average; over few updates at first, so that the initial weights soon lose their share."""
+    """The running average, at first over few updates, so that the initial weights soon lose their share."""
     return torch.lerp(current, average, min(decay, (1.0 + int(updates)) / (10.0 + int(updates))))
 
 
 def load(
     datasets: Sequence[Path], settings: ModelSettings, training: TrainingSettings, *, progress: bool
 ) -> tuple[list[Flows], list[Flow]]:
-    """Training flows of each dataset, and the validation flows chosen of all. Raises InputError."""
+    """Training flows of each dataset, and validation flows chosen from all. Raises InputError."""
     if not datasets:
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
     count = len(training.shares)
@@ -291,14 +291,14 @@ def load(
             raise InputError(message, where=flow.name)
     every = list(chain.from_iterable(valid))
     count = min(training.validate_flows, len(every))
-    # At random, for kinds of scenes alternate: every third flow may be a column.
+    # At random, because kinds of scenes alternate: every third flow may be a column.
     chosen = np.random.default_rng(0).choice(len(every), count, replace=False)
     return train, [every[index] for index in sorted(chosen)]
 
 
 def untrained(settings: ModelSettings, flows: Sequence[Flows]) -> Simulator:
-    """A model to begin with: random weights, and the mean upward acceleration of the data, which bears the weight. From
-    free flight, as random weights alone have it, small steps of the weights take thousands of updates to reach it."""
+    """An initial model: random weights, and the mean upward acceleration of the data, which bears the weight. Random
+    weights alone start in free fall and take thousands of updates to reach it."""
     normalisation, upward = statistics(flows)
     simulator = Simulator(settings, normalisation)
     list(simulator.network.decoder.parameters())[-1].data[1] = upward
@@ -306,12 +306,12 @@ def untrained(settings: ModelSettings, flows: Sequence[Flows]) -> Simulator:
 
 
 def continued(model: Model, settings: ModelSettings, training: TrainingSettings) -> Simulator:
-    """A model to train on. Raises InputError where its settings are others, but for the speed of rest."""
+    """A model to continue training. Raises InputError if its settings differ, except for the speed of rest."""
     simulator = model.simulator
     there = asdict(replace(simulator.settings, rest_speed=settings.rest_speed))
     if other := [key for key, value in asdict(settings).items() if value != there[key]]:
-        raise InputError(f"expected a model of the settings given, other is {', '.join(other)}", key="--begin")
-    # No weight depends on it.
+        raise InputError(f"expected a model with the settings given, these differ: {', '.join(other)}", key="--begin")
+    # No weight depends on the speed of rest.
     simulator.settings = settings
     if not training.correct:
         simulator.correction = None
@@ -337,7 +337,7 @@ def sums(*values: float) -> list[float]:
 
 @contextmanager
 def joined(device: str | None) -> Iterator[torch.device]:
-    """Join the processes of torchrun, if any; the device of this one, a GPU where there is one. Raises InputError."""
+    """Join the processes of torchrun, if any; gives this one's device, a GPU if there is one. Raises InputError."""
     kind = device or ("cuda" if torch.cuda.is_available() else "cpu")
     where = torch.device(kind)
     if kind == "cuda":
@@ -348,7 +348,7 @@ def joined(device: str | None) -> Iterator[torch.device]:
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield where
         return
-    # Orphans of torchrun would train on.
+    # Otherwise orphans of torchrun would continue to train.
     end_with_parent()
     distributed.init_process_group("nccl" if kind == "cuda" else "gloo")
     try:

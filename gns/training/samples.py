@@ -1,4 +1,4 @@
-"""Samples of the datasets for a training: drawn, thinned, turned, and side by side as a `SampleBatch`."""
+"""Samples of the datasets for a training: drawn, thinned, mirrored, and joined as a `SampleBatch`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,13 +26,13 @@ from gns.surroundings.state import Conditions, State, Tensors, in_model_units
 from gns.surroundings.units import Units
 
 MOVING = 0.02  # root mean square speed above which a flow counts as moving, in the units of the model [m/s]
-# Shares of the samples not of the first frame that start just after it, with a history from the initial velocities,
-# and while the flow moves; the rest starts anywhere: deposits at rest must stay.
+# Of samples that do not start at the first frame: the share that starts just after it, with a history from the initial
+# velocities, and the share that starts while the flow moves. The rest starts anywhere: deposits at rest must stay.
 SHARE_EARLY, SHARE_MOVING = 0.12, 0.70
-NEARLY = 0.03  # of a step: frames so near to it are a step apart, as a rollout lasts whole steps
-TRIES = 16  # random times among which one is chosen at which the flow moves
-MOMENTS = 3  # times before the end of a rollout at which it may end as well
-SAMPLED_TIMES = 2048  # times in all over which the statistics run; where there are fewer, all
+NEARLY = 0.03  # share of a step: frames this close to a step apart count as a step apart
+TRIES = 16  # random times, of which the first at which the flow moves is chosen
+MOMENTS = 3  # further times before the end at which a rollout may end
+SAMPLED_TIMES = 2048  # total number of times for the statistics; all, if there are fewer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class Flow:
 
     name: str  # the file it came from
     scene: Scene
-    positions: Floats  # one step apart [m], shape [T, N, D]; may be a map of the file, read where it is used
+    positions: Floats  # one step apart [m], shape [T, N, D]; may be memory-mapped
     velocity0: Floats  # initial velocities [m/s], shape [N, D]
     conditions: Conditions  # of these particles; N volumes, frictions and cohesions
     step: float  # time between two positions [s]
@@ -56,14 +56,14 @@ class Flow:
         return self.conditions.volume.numpy()
 
     def moves(self, time: int) -> bool:
-        """Whether it moves from index `time` to the next."""
+        """Whether the flow moves from index `time` to the next."""
         displacements = self.positions[time + 1] - self.positions[time]
         return float(np.square(displacements).sum(axis=1).mean()) > (MOVING * self.units.speed * self.step) ** 2
 
 
 @dataclass(frozen=True)
 class Flows(Sequence[Flow]):
-    """Flows on disk, each opened when it is asked for."""
+    """Flows on disk, each opened when it is accessed."""
 
     files: Sequence[Path]
     settings: ModelSettings
@@ -88,8 +88,8 @@ def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bo
 
 
 def flow_of(path: Path, settings: ModelSettings) -> Flow:
-    """The flow in a file, in the units in which a rollout of its scene runs, a step of the model apart: every so many
-    frames where these fit it to `NEARLY`, else linear in time between them. Raises InputError."""
+    """The flow in a file at the model's step, in the units of a rollout of its scene: every n-th frame if that fits the
+    step to `NEARLY`, else interpolated linearly in time. Raises InputError."""
     trajectory = open_trajectory(path)
     scene, frame_dt = trajectory.scene, trajectory.frame_dt
     check(scene, settings)
@@ -114,7 +114,7 @@ def flow_of(path: Path, settings: ModelSettings) -> Flow:
 
 @dataclass(frozen=True, kw_only=True)
 class SampleBatch(Tensors):
-    """Samples side by side in the units of the model: their starts, what stays constant, where they should lead."""
+    """Samples side by side in the units of the model: initial states, conditions and targets."""
 
     state: State
     conditions: Conditions
@@ -122,7 +122,7 @@ class SampleBatch(Tensors):
 
 
 def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: np.random.Generator) -> SampleBatch:
-    """A sample: the stretch of a flow with `steps` targets after index `now`; rng: which particles stay (`thin`)."""
+    """A sample: a part of a flow with `steps` targets after index `now`; rng chooses the particles (`thin`)."""
     cell, kept = flow.units.length * settings.cell, settings.particles_per_cell
     particles, volumes = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
     first = max(0, now - settings.history)
@@ -143,7 +143,7 @@ def batched(samples: Sequence[SampleBatch]) -> SampleBatch:
 
 
 class Sampler:
-    """Draws training samples of the datasets, their flows alike, each in a random one of its symmetries."""
+    """Draws training samples from the datasets, all flows of one equally often, each in a random symmetry."""
 
     def __init__(self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings, training: TrainingSettings) -> None:
         self._datasets, self._settings, self._training = datasets, settings, training
@@ -172,21 +172,21 @@ class Sampler:
         if kind < SHARE_EARLY:
             return min(int(rng.integers(1, 2 * self._settings.history + 1)), last)
         anywhere: list[int] = rng.integers(0, last + 1, size=TRIES).tolist()
-        # The first that moves is a random one of those that move, and only two frames of each are read.
+        # The first time at which the flow moves is a random such time, and only two frames are read for each.
         moving = filter(flow.moves, anywhere if kind < SHARE_EARLY + SHARE_MOVING else ())
         return next(moving, anywhere[0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ends(SampleBatch):
-    """A batch of rollouts by a model, from their starts to some end; the target is where the MPM's flow is then."""
+    """A batch of rollouts by a model from their starts to some end; the target is the MPM's flow at that time."""
 
     end: State
-    whole: Tensor  # `measured` of all particles of the MPM's flow then [m], shape [B, A, 2 + SHARES]
+    whole: Tensor  # `measured` for all particles of the MPM's flow at that time [m], shape [B, A, 2 + SHARES]
 
 
 class Rollouts(Sampler):
-    """Draws ends of rollouts by a model as it is; each is rolled out once, where it is first drawn, and then kept."""
+    """Draws ends of rollouts by a fixed model; each is rolled out when it is first drawn, and then kept."""
 
     def __init__(self, datasets: Sequence[Sequence[Flow]], simulator: Simulator, training: TrainingSettings) -> None:
         super().__init__(datasets, simulator.settings, training)
@@ -194,13 +194,13 @@ class Rollouts(Sampler):
         self._kept: dict[tuple[int, ...], list[Ends]] = {}
 
     def batch(self, steps: int, rng: np.random.Generator) -> Ends:
-        """Ends side by side: half of them the flow's own, the other at any time."""
+        """Ends side by side: half of them at the end of a flow, the others at any time."""
         drawn = [self._end(rng) for _ in range(self._training.batch)]
         end, whole = State.joined([ends.end for ends in drawn]), torch.cat([ends.whole for ends in drawn])
         return Ends(**vars(batched(drawn)), end=end, whole=whole)
 
     def _end(self, rng: np.random.Generator) -> Ends:
-        """One of the ends of a random rollout, the last of them as often as all others."""
+        """One of the ends of a random rollout; the last is drawn as often as all others together."""
         dataset, index = self._drawn(rng)
         key = dataset, index, int(rng.integers(self._training.rollouts))
         if key not in self._kept:
@@ -227,10 +227,9 @@ class Rollouts(Sampler):
 
 
 def measured(positions: Tensor, volume: Tensor) -> Tensor:
-    """Ends and equal shares of a flow along each level axis [m], shape [A, 2 + SHARES], differentiably. The end at
-    larger coordinates, that at smaller ones times -1, and the middles of equal shares of the volume, as
-    `datasets.flow.measures` has them along x.
-    positions: [m], shape [N, D]; volume: of the particles [m^D], shape [N]."""
+    """Ends and equal shares of a flow along each horizontal axis [m], shape [A, 2 + SHARES], differentiable. These are
+    the end at larger coordinates, that at smaller ones times -1, and the middles of equal shares of the volume, as in
+    `datasets.flow.measures` along x. positions: [m], shape [N, D]; volume: of the particles [m^D], shape [N]."""
     lengths = []
     for axis in range(0, positions.shape[1], 2):
         x, order = positions[:, axis].sort()
@@ -247,7 +246,7 @@ def measured(positions: Tensor, volume: Tensor) -> Tensor:
 
 
 def turned(sample: SampleBatch, rng: np.random.Generator) -> SampleBatch:
-    """The sample in a random one of the symmetries of its box."""
+    """The sample in a random symmetry of its box."""
     axes = sample.targets.shape[2]
     for axis in range(0, axes, 2):
         if rng.random() < 0.5:
@@ -256,7 +255,7 @@ def turned(sample: SampleBatch, rng: np.random.Generator) -> SampleBatch:
 
 
 def reflected(sample: SampleBatch, axis: int | None) -> SampleBatch:
-    """The same flow in a mirror: along a level `axis`, or in 3D, where that is None, with x and z exchanged."""
+    """The same flow in a mirror: along a horizontal `axis`, or in 3D, if that is None, with x and z exchanged."""
     around, ground = sample.conditions, sample.conditions.ground
     order, flip, origin = list(range(around.size.shape[1])), torch.ones_like(around.size[0]), 0.0 * around.size[0]
     if axis is None:
@@ -271,7 +270,7 @@ def reflected(sample: SampleBatch, axis: int | None) -> SampleBatch:
         return origin + vectors(values)
 
     if ground is not None:
-        # A post of the mirrored raster is where the raster has its mirror image.
+        # The mirrored raster takes at each post the value of the raster at the post's mirror image.
         shape = ground.elevation.mT.shape if axis is None else ground.elevation.shape
         plan = [ground.spacing * torch.arange(count) for count in shape[1:]]
         posts = torch.stack(torch.meshgrid(plan[0], torch.zeros(1), *plan[1:], indexing="ij"), dim=-1)
@@ -283,7 +282,7 @@ def reflected(sample: SampleBatch, axis: int | None) -> SampleBatch:
         around,
         size=around.size[:, order],
         gravity=vectors(around.gravity),
-        # What was the lower side is now the upper.
+        # The lower side becomes the upper.
         baffles=None if around.baffles is None else points(around.baffles).sort(dim=2).values,
         baffle_turn=None if around.baffle_turn is None else -around.baffle_turn,
         ground=ground,
@@ -293,9 +292,9 @@ def reflected(sample: SampleBatch, axis: int | None) -> SampleBatch:
 
 
 def statistics(datasets: Sequence[Sequence[Flow]]) -> tuple[Normalisation, float]:
-    """Normalisation constants, and the mean upward acceleration without gravity's over its scale [-]; over random times
-    at which the flows move, always the same times. Along level axes the mean is 0, for samples are mirrored. Of each
-    flow as many times are read as make `SAMPLED_TIMES` in all, at least two."""
+    """Normalisation constants, and the mean upward acceleration without gravity's, over its scale [-]. They are taken
+    over random but reproducible times at which the flows move: `SAMPLED_TIMES` in all, at least two per flow. Along
+    horizontal axes the mean is 0, because samples are mirrored."""
     squares, upward, count, size, friction = np.zeros(2), 0.0, 0, 0, []
     share = max(2, -(-SAMPLED_TIMES // sum(map(len, datasets))))
     rng = np.random.default_rng(0)

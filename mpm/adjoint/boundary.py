@@ -4,8 +4,8 @@ A wall that stops v_n along its axis leaves u = (1 - mu |v_n| / |w|) w of the re
 
     w' = u' - mu |v_n| / |w| (u' - w (w . u') / |w|^2),    (mu |v_n|)' = -(w . u') / |w|
 
-and 0 where the node sticks; on an edge w is what no wall there stops. At |w| = mu |v_n| the derivative jumps, and the
-side that the step took is taken.
+and 0 where the node sticks; on an edge w is the part that no wall there stops. At |w| = mu |v_n| the derivative jumps;
+the reverse uses the side that the step took.
 """
 
 import taichi as ti
@@ -23,7 +23,7 @@ def wall_reverse(adj, v_star, node, cells, scene, arrays: ti.template()):
         side = stopping_side(v_star, node, cells, axis, scene, arrays)
         if side >= 0:
             friction, normal = friction_of(side, scene, arrays), ti.abs(v_star[axis])
-            # What this wall rubs on; no impulse of walls is recorded here.
+            # The velocity on which the friction of this wall acts; no impulse of walls is recorded here.
             along = apply_walls(v_star, node, cells, axis, 0.0, 0, scene, arrays)
             adj, adj_limit = with_friction_reverse(adj, along, friction * normal)
             into[axis] = friction * adj_limit * (v_star[axis] / normal)

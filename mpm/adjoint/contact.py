@@ -1,12 +1,12 @@
-"""The reverse of `mpm.physics.contact`: of the traction of solids, its friction, and the places of faces.
+"""The reverse of `mpm.physics.contact`: of the traction of solids, its friction, and the positions of faces.
 
-Backwards from what a step leaves: the contact that is found at the new position (delta, d, n, the turned q), the
-particle kept out of the solid, the bound on q, q itself, the strain of contact, and last the force on the nodes. Where
-contact is found follows in `mpm.adjoint.faces`. The bound has an adjoint of rho, and of g / xi of the nearest solid.
+It goes backwards from the end of a step: the contact found at the new position (delta, d, n, the turned q), the
+particle kept out of the solid, the bound on q, q itself, the strain of contact, and last the force on the nodes.
+`mpm.adjoint.faces` reverses the search for contact. The bound gives adjoints of rho and of the nearest solid's g / xi.
 
-**Impulses.** What contact takes of the flow's momentum in a step is added to the impulse I of its solid, whose adjoint
-I' is that of all later frames together. It joins the adjoints of the force on the nodes and of velocities before a
-surface:
+**Impulses.** The momentum that contact takes from the flow in a step is added to the impulse I of its solid, whose
+adjoint I' is that of all later frames together. I' adds to the adjoints of the force on the nodes and of velocities
+before a surface:
 
     I += -dt V0 delta t     so   t' -= dt V0 delta I',                (delta, V0)' likewise
     I += m (v - v_after)    so   v' += m I',  v_after' -= m I',       m' += I' . (v - v_after)
@@ -57,7 +57,7 @@ def solids_reverse(adj, v, mass, node, worker, scene, arrays: ti.template()):
     first, end = holds_of_node(entry, arrays)
     adj_left = adj
     if ti.static(features.terrain):
-        # What listed faces leave of it.
+        # The velocity after the listed faces.
         left = v
         for hold in range(first, end):
             left = left - removed_by(hold, v, arrays)[1]
@@ -119,10 +119,10 @@ def grid_motion(block: ti.template(), arrays: ti.template()):
 
 @ti.func
 def slip_reverse(block: ti.template(), shear, arrays: ti.template()):
-    """From the adjoints of what a step leaves of contact to those of its stress, of C and of the contact before it.
+    """From the adjoints of contact after a step to those of its stress, of C and of contact before the step.
 
-    Those of the grid's velocity come in `scratch` from `layout.scratch.foot`, with turbulence those of the grid's mass
-    and distances in place of `layer`. Returns that of the shear modulus.
+    Those of the grid's velocity go to `scratch` from `layout.scratch.foot` on; with turbulence, those of the grid's
+    mass and distances replace `layer`. Returns that of the shear modulus.
     """
     features, layout, scene = arrays.features, arrays.layout, block.scene
     size, contacts = ti.static(features.dimension, features.state.contacts)
@@ -181,7 +181,7 @@ def add_motion(block: ti.template(), adj: ti.template(), arrays: ti.template()):
 
 @ti.func
 def add_drag_adjoints(block: ti.template(), adj, arrays: ti.template()):
-    """Add the adjoints of g / xi of a block's particles to those of their solids and, where xi varies, of places."""
+    """Add the adjoints of g / xi of a block's particles to those of their solids and, if xi varies, of positions."""
     features, lanes = arrays.features, arrays.features.lanes
     contact, drag = contact_at(block.number, 0, arrays), block.scratch + features.scratch.drag
     arrays.scratch[drag] = present(block.number, arrays) * adj

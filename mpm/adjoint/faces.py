@@ -1,15 +1,14 @@
-"""The reverse of finding contact: distance, normal and friction at the nearest face, and being put onto it.
+"""The reverse of the search for contact: distance, normal and friction at the nearest face, and moving back onto it.
 
-Distance d, normal n and friction at the nearest face are those of the point of it that is nearest to x. Whether that
-lies inside the face, on an edge or at a corner is given: so they are closed forms, which are traced (`at_face`); those
-of the bed of a terrain too (`at_bed`), whose elevations have no adjoint.
+Distance d, normal n and friction belong to the point of the nearest face that is nearest to x. Whether this point lies
+inside the face, on an edge or at a corner is given: so all three are closed forms, which are traced (`at_face`), as for
+the bed of a terrain (`at_bed`), whose elevations have no adjoint.
 
-A particle that a step has put back onto a face lost d n of its displacement, x'' = x' - d n, and of its velocity what
-`after_contact` takes. The adjoints of faces are those of their corners, normals and friction, each as if it stood
-alone: whoever moves a solid moves all of them (`mpm.adjoint.gradient.Gradient.along`). Where a node begins to be deep
-in a solid, or the nearest face changes, the flow has a corner in the position of the solid, and the adjoint is that of
-one side. A particle that is put back beyond the end of the face that it crossed, over a ridge, is taken as not put
-back.
+A particle that a step has moved back onto a face lost d n of its displacement, x'' = x' - d n, and the part of its
+velocity that `after_contact` takes. The adjoints of faces are those of their corners, normals and friction, each as if
+independent: moving a solid moves all of them (`mpm.adjoint.gradient.Gradient.along`). Where a node begins to be deep in
+a solid, or the nearest face changes, the flow has a kink in the position of the solid, and the adjoint is that of one
+side. A particle moved back beyond the end of the face that it crossed, over a ridge, counts as not moved back.
 """
 
 import taichi as ti
@@ -37,17 +36,17 @@ from mpm.solids.terrain import (
     varied_friction,
 )
 
-PUT_BACK = 1.0e-6  # distance from a face [cells] within which a particle has been put back onto it
+PUT_BACK = 1.0e-6  # distance from a face [cells] within which a particle has been moved back onto it
 
 
 @ti.func
 def found_reverse(block: ti.template(), put_back: ti.template(), arrays: ti.template()):
     """Adjoints of position, velocity and shear traction of a block before its contact is found, and those of the faces.
 
-    From those after: these are in the history. put_back: whether a particle may have been kept out of a solid; then the
-    velocity before that is in the scratch from `before`, and the shear traction behind it. Where the objective depends
-    on impulses, the mass [kg] of each particle is in place of `Contact.FREE`, which has no adjoint, and its adjoint is
-    left there.
+    Computed from the adjoints afterwards, with the later state in the history. put_back: whether a particle may have
+    been kept out of a solid; then the scratch holds the earlier velocity from `before` on, followed by the shear
+    traction. If the objective depends on impulses, the mass [kg] of each particle replaces `Contact.FREE`, which has no
+    adjoint, and its adjoint is stored there.
     """
     features, layout, lanes, scene = arrays.features, arrays.layout, arrays.features.lanes, block.scene
     size = ti.static(features.dimension)
@@ -98,7 +97,7 @@ def found_reverse(block: ti.template(), put_back: ti.template(), arrays: ti.temp
                         adj_v = turned + adj_momentum
                         adj_n = adj_n + adj_normal
                         adj_friction += slid
-                    # What was lost of the displacement is the depth along n, which turns where a bed is curved.
+                    # The lost displacement is the depth along n, which turns where a bed is curved.
                     adj_d = 0.0 - adj_x.dot(n)
                     if ti.static(features.terrain):
                         if in_terrain(face, scene, arrays):
@@ -137,7 +136,7 @@ def depends(then, scene, arrays: ti.template()):
 def foot_reverse(x, n, face, adj: ti.template(), back, scene, arrays: ti.template()):
     """Adjoint of the position `x` [m] from those of the friction, distance and normal at its face, shape [D].
 
-    back: it has been put onto the face, whose inside it is then nearest to. Adds the adjoints of the face's numbers.
+    back: whether it was moved back onto the face; it is then nearest to its inside. Adds the adjoints of the face.
     """
     adj_x = 0.0 * x
     if ti.static(arrays.features.listed):
@@ -202,7 +201,7 @@ def at_bed(x, frictions, heights, corner, spacing):
 def at_face(x, corners, normal, frictions, part, side, dimension):
     """Friction, distance [m] and normal at the point of a face nearest to `x` [m]; traced.
 
-    part: as `mpm.solids.face_lookup.foot_on_triangle` has it; side: roughly the normal.
+    part: as in `mpm.solids.face_lookup.foot_on_triangle`; side: roughly the normal.
     """
     points = [corners[k * dimension : (k + 1) * dimension] for k in range(dimension)]
     weights = foot_weights(x, points, part, dimension)
@@ -239,7 +238,7 @@ def foot_weights(x, points, part, dimension):
 
 
 def between(a, b):
-    """From a to b; traced."""
+    """Vector from a to b; traced."""
     return [b[k] - a[k] for k in range(len(a))]
 
 
@@ -258,7 +257,7 @@ def hold_reverse(adj, v, normal, friction, share):
 
 @ti.func
 def bed_hold_reverse(adj, v, node, scene, arrays: ti.template()):
-    """Adjoint of a node's velocity `v` [m/s] from that of what the bed takes of it; adds that of its friction."""
+    """Adjoint of a node's velocity `v` [m/s] from that of the part that the bed takes; adds that of its friction."""
     adj_v = 0.0 * v
     share, normal, friction = bed_hold(node, bed_under(node, scene, arrays), scene, arrays)
     if share > 0.0 and v.dot(normal) < 0.0:

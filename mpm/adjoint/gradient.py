@@ -1,4 +1,4 @@
-"""Gradients of an objective of the flow with respect to everything that a run begins with.
+"""Gradients of an objective of the flow with respect to all initial numbers of a run.
 
     objective(positions, velocities) -> J, dJ/d(positions), dJ/d(velocities)
     J, slope = gradient(scene, objective)
@@ -8,8 +8,8 @@
     slope.setting("floor_friction")     # of the scene
     slope.along(scene_at, 0.0)          # along any path of scenes, scene_at(t)
 
-The kernel's own adjoints are exact; what lies before the kernel, from Young's modulus to Lame's constants or from a
-tilt to gravity, are closed forms of a few numbers, whose derivatives are central differences of these forms alone.
+The kernel's own adjoints are exact. The steps before the kernel, from Young's modulus to Lame's constants or from a
+tilt to gravity, are closed forms of a few numbers; their derivatives are central differences of these forms alone.
 """
 
 import dataclasses
@@ -38,8 +38,8 @@ from mpm.solids.obstacles import face_lines, farthest, holds_at, limited, obstac
 Floats = NDArray[np.float64]
 
 Objective = Callable[[Floats, Floats], tuple[float, Floats, "Floats | None"]]
-"""Of positions [m] and velocities [m/s] at the observed frames, shape [T, N, D] each: the value, and its derivatives
-with respect to both, or None for no dependence on velocity."""
+"""Function of positions [m] and velocities [m/s] at the observed frames, shape [T, N, D] each: the value, and its
+derivatives with respect to both; None if it does not depend on velocity."""
 
 STEP = 1.0e-5
 """Relative step of the differences of closed forms."""
@@ -47,14 +47,14 @@ STEP = 1.0e-5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunNumbers:
-    """The numbers that a run of a scene begins with, or the derivatives of an objective J with respect to each of them;
-    N particles, D dimensions.
+    """The initial numbers of a run of a scene, or the derivatives of an objective J with respect to each of them; N
+    particles, D dimensions.
     """
 
     scene: Scene
     particles: Particles
     positions: Floats
-    """Of the particles [m], shape [N, D]."""
+    """Positions of the particles [m], shape [N, D]."""
     velocities: Floats
     """[m/s], shape [N, D]."""
     velocity_gradients: Floats
@@ -67,16 +67,16 @@ class RunNumbers:
     settings: Floats
     """`mpm.arrays.layout.Setting`, shape [len(Setting)]."""
     faces: Floats
-    """Of solids, `mpm.solids.obstacles.Obstacles.faces`, shape [F, columns]; no rows without solids."""
+    """Faces of solids, `mpm.solids.obstacles.Obstacles.faces`, shape [F, columns]; no rows without solids."""
     holds: Floats
-    """Of nodes deep in solids, `mpm.solids.obstacles.Obstacles.holds`, shape [K, 3]."""
+    """Holds of nodes deep in solids, `mpm.solids.obstacles.Obstacles.holds`, shape [K, 3]."""
     terrain: Floats
-    """The friction at the posts of a terrain in 3D, or the one that all have, shape [P]; no posts without one."""
+    """The friction at the posts of a terrain in 3D, or the uniform one, shape [P]; empty without terrain."""
     drags: Floats
-    """g / xi of each solid [1/m], 0 of those without `turbulence`, shape [solids]."""
+    """g / xi of each solid [1/m], 0 for those without `turbulence`, shape [solids]."""
 
     def in_a_row(self, columns: int) -> Floats:
-        """All of them, with so many columns of the properties."""
+        """All numbers in one row, with so many columns of the properties."""
         parts = vars(self) | {"properties": self.properties[:, :columns]}
         return np.concatenate([parts[field.name].ravel() for field in dataclasses.fields(RunNumbers)[2:]])
 
@@ -89,7 +89,7 @@ class Gradient(RunNumbers):
     """Share of the adjoints of all particles and steps that were cut (`mpm.adjoint.tape.CUT`); 0 where it is exact."""
 
     def of_mass(self, values: Floats) -> Floats:
-        """What particles have, summed over those of each mass, shape [masses, ...]."""
+        """Values of particles, summed over those of each mass, shape [masses, ...]."""
         sums = np.zeros((len(self.scene.masses), *values.shape[1:]))
         np.add.at(sums, self.particles.mass, values)
         return sums
@@ -97,8 +97,8 @@ class Gradient(RunNumbers):
     def material(self, name: str) -> Floats:
         """dJ/d(constant `name` of the material) of every particle, as if each had its own, shape [N].
 
-        `friction_deg` at the angle of each particle, where a field of the scene gives it. Raises InputError for a
-        constant of cohesion where a material has none.
+        `friction_deg` is taken at the angle of each particle if a field of the scene gives it. Raises InputError for a
+        constant of cohesion if a material has none.
         """
         derivatives = np.zeros(len(self.positions))
         for index, material in enumerate(self.particles.materials):
@@ -121,18 +121,18 @@ class Gradient(RunNumbers):
         """dJ/d(number `name` of the scene): floor_friction, wall_friction, damping, gravity, slope_deg, ..."""
         at = getattr(self.scene, name)
         if isinstance(at, str):
-            raise InputError(f"expected a number of which there is a derivative, got {at!r}", key=name)
+            raise InputError(f"expected a number that has a derivative, got {at!r}", key=name)
         return self.along(lambda value: dataclasses.replace(self.scene, **{name: value}), at)  # type: ignore[arg-type]
 
     def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
-        """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this one. Raises InputError for other particles."""
+        """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this scene. Raises InputError for other particles."""
         return float(self.products(self.slopes(scene_at, at, step)).sum())
 
     def shared(self, slopes: Floats) -> tuple[Floats, Floats]:
-        """`along` by what it comes from: each particle, shape [N], and each post of the terrain, shape [P].
+        """The contributions to `along` of each particle, shape [N], and of each post of the terrain, shape [P].
 
-        Of a path along which a field changes everywhere, with its `slopes`, these are the derivatives by what each
-        particle and each post has of the field.
+        For a path along which a field changes everywhere, with its `slopes`, these are the derivatives with respect to
+        the value of the field at each particle and each post.
         """
         names = [field.name for field in dataclasses.fields(RunNumbers)[2:]]
         ends, count = np.cumsum([vars(self)[name].size for name in names]), len(self.positions)
@@ -141,7 +141,7 @@ class Gradient(RunNumbers):
         return sum(parts[name].reshape(count, -1).sum(axis=1) for name in of_particles), parts["terrain"]
 
     def slopes(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> Floats:
-        """Derivatives of what a run begins with along a path of scenes, in the order of `in_a_row`; of no objective."""
+        """Derivatives of the initial numbers along a path of scenes, in the order of `in_a_row`; of no objective."""
         columns = self.properties.shape[1]
 
         def numbers_at(value: float) -> Floats:
@@ -152,34 +152,34 @@ class Gradient(RunNumbers):
     def products(self, slopes: Floats) -> Floats:
         """Terms of dJ/dt with the slopes of a path, one for each number in the order of `in_a_row`."""
         adj = self.in_a_row(self.properties.shape[1])
-        # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
+        # Numbers without effect on J may be infinite, such as the rate of an instantaneous relaxation.
         return np.multiply(adj, slopes, out=np.zeros_like(adj), where=(adj != 0.0) & (slopes != 0.0))
 
     @cached_property
     def start(self) -> "Start":
-        """What runs along paths of scenes through this one share."""
+        """The start that runs along paths of scenes through this one share."""
         return started(self.scene)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Start(RunNumbers):
-    """What a run of a scene begins with."""
+    """The initial numbers of a run of a scene."""
 
     held: NDArray[np.int64]
     """The node of each of the `holds`, by its indices, shape [K, D]."""
 
 
 def rows_at(material: Material, depth: Floats, friction_deg: Floats | None, name: str, value: float) -> Floats:
-    """`properties_at` with a constant of the material at `value`, by which angles of the particles are raised."""
+    """`properties_at` with a constant of the material at `value`; given angles of particles increase by it."""
     if name == "friction_deg" and friction_deg is not None:
         return properties_at(material, depth, friction_deg + value)
     return properties_at(material.with_constant(name, value), depth, friction_deg)
 
 
 def started(scene: Scene, base: Start | None = None) -> Start:
-    """What a run of `scene` begins with; what it has in common with `base` is not made again.
+    """The initial numbers of a run of `scene`; those that it shares with `base` are not computed again.
 
-    Raises InputError where the scenes have different numbers of particles or faces.
+    Raises InputError if the scenes have different numbers of particles or faces.
     """
     if base is None:
         particles, solids = initial_particles(scene), obstacles_in(scene)
@@ -217,20 +217,20 @@ def started(scene: Scene, base: Start | None = None) -> Start:
 
 
 def varied_turbulence(scene: Scene) -> list[Any]:
-    """What the solids have that is no number; it has no derivative."""
+    """The non-numeric settings of the solids, which have no derivative."""
     return [solid.turbulence for solid in scene.solids if isinstance(solid.turbulence, tuple)]
 
 
 def solids_with(scene: Scene) -> tuple[Any, ...]:
-    """All that the faces and the holds of a scene follow from."""
+    """All inputs of the faces and the holds of a scene."""
     return scene.domain, solids_of(scene), farthest(scene), roughest(scene)
 
 
 def faces_and_holds(scene: Scene, nodes: NDArray[np.int64], base: Floats) -> tuple[Floats, Floats, Floats]:
-    """Faces of the solids of a scene, its holds in the order of `base` [K, 3], which those of `nodes` [K, D] are, and
-    the friction of its terrain, [P].
+    """Faces of the solids of a scene, its holds in the order of `base` [K, 3], which belong to `nodes` [K, D], and the
+    friction of its terrain, [P].
 
-    A hold that the scene does not have has no share. What else the kernel needs of solids is not made.
+    A hold that the scene does not have gets a share of zero. Other data of solids for the kernel are not made.
     """
     surface, holds = contact_surface_of(scene), base.copy()
     holds[:, 2] = 0.0
@@ -251,7 +251,7 @@ def faces_and_holds(scene: Scene, nodes: NDArray[np.int64], base: Floats) -> tup
 
 
 def particles_with(scene: Scene, base: Start) -> tuple[Particles, Floats]:
-    """The particles of a scene and their properties, in the places of `base` where these are the same."""
+    """The particles of a scene and their properties; they take their places from `base` if these are the same."""
     if placement(scene) != placement(base.scene):
         particles = initial_particles(scene)
         return particles, properties_of(particles)
@@ -268,7 +268,7 @@ def particles_with(scene: Scene, base: Start) -> tuple[Particles, Floats]:
 
 
 def placement(scene: Scene) -> tuple[Any, ...]:
-    """All that the places, velocities and volumes of the particles of a scene follow from, and what fields vary."""
+    """All inputs of the places, velocities and volumes of a scene's particles, and what its fields vary."""
     others = dict.fromkeys(("material", "k0", "release", "gate"))
     masses = [vars(mass) | others for mass in scene.masses]
     ground = scene.solids if any(mass.kind == "layer" for mass in scene.masses) else ()
@@ -277,7 +277,7 @@ def placement(scene: Scene) -> tuple[Any, ...]:
 
 
 def differences(function: Callable[[float], Any], at: float, name: str, step: float | None = None) -> Any:
-    """Derivative of a closed form at a value by a central difference, or one into the range where it is at its end."""
+    """Derivative of a closed form at a value by a central difference, or a one-sided one at the end of its range."""
     step = STEP * (abs(at) or 1.0) if step is None else step
     with np.errstate(invalid="ignore"):
         try:
@@ -285,10 +285,10 @@ def differences(function: Callable[[float], Any], at: float, name: str, step: fl
         except InputError:
             pass
         try:
-            # Second order from one side.
+            # One-sided, of second order.
             return (4.0 * function(at + step) - function(at + 2.0 * step) - 3.0 * function(at)) / (2.0 * step)
         except InputError as error:
-            raise InputError(f"expected a value of {name} with others about it, got {at:g}: {error}") from None
+            raise InputError(f"expected a value of {name} inside its range, got {at:g}: {error}") from None
 
 
 def gradient(
@@ -308,7 +308,7 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
 
 
 def gradient_of(tape: Tape, index: int, adj: dict[str, Any]) -> Gradient:
-    """The gradient of scene `index` from what `Tape.reverse` gives of an objective."""
+    """The gradient of scene `index` from the result of `Tape.reverse` for an objective."""
     scene, features, size = tape.batch.scenes[index], tape.features, tape.features.dimension
     here, (faces, nodes) = tape.particles(index), tape.solids(index)
 

@@ -1,4 +1,4 @@
-"""The reverse of `mpm.physics.grid`: adjoints of momentum, mass and force at the nodes from those of their velocities.
+"""The reverse of `mpm.physics.grid`: from adjoints of nodal velocities to those of momentum, mass and force.
 
     v* = v + dt (a - alpha |a| s(v)),   a = g + f / m,   v = (m v) / m,   s(v) = v / sqrt(v^2 + v_s^2)
 
@@ -6,16 +6,16 @@
     v'     = v*' - v_s^2 l,    (v_s^2)' = v . l / 2,    l = dt alpha |a| (v^2 + v_s^2)^(-3/2) v*' by components
     (m v)' = v' / m,    f' = a' / m,    m' = -(v . v' + f / m . a') / m,    g' = a'
 
-**The slope of the sign** at v = 0 is 1 / v_s, and dt alpha |a| / v_s is far above 2 where stress waves pass: such a
-node jumps to and fro about v = 0, and neighbouring runs part at every jump until they are some 1e-6 m apart, where it
-ends. The derivative along one run is then that of the jumps (1e25 after a second of ten layers) and says nothing of
-the flow. Unless `exact`, the reverse therefore spreads the slope over the jump that a step of damping makes,
-h = dt alpha |a|:
+**The slope of the sign** at v = 0 is 1 / v_s, and dt alpha |a| / v_s is far above 2 where stress waves pass. Such a
+node jumps back and forth about v = 0, and neighbouring runs diverge at every jump until they are some 1e-6 m apart, and
+no further. The derivative along one run is then that of the jumps (1e25 after a second of ten layers) and says nothing
+about the flow. Unless `exact`, the reverse therefore spreads the slope over the jump of a damping step, h = dt alpha
+|a|:
 
     s'(v) = (v_s^2 + h^2) (v^2 + v_s^2 + h^2)^(-3/2)
 
-so that h s'(v) lies in [0, 1], as of a force that opposes motion; it is exact where h is small against v_s or |v|, and
-its integral over v stays 2, so that where v scatters by more than h its mean is right.
+so that h s'(v) lies in [0, 1], as for a force that opposes motion. It is exact where h is small against v_s or |v|, and
+its integral over v stays 2, so that its mean is right where v scatters by more than h.
 
 A node keeps u = v* after the walls and its change u - kappa v, so v*' begins as the sum of both adjoints, and v' and
 kappa' with -kappa and -v times that of the change.
@@ -35,7 +35,7 @@ from mpm.physics.grid import SLOW, acceleration, damping_terms, node_of, own_nod
 from mpm.solids.terrain import bed_under
 
 SHARED = (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
-SUMS = len(SHARED) + 1  # adjoints that nodes share: of these settings and of kappa
+SUMS = len(SHARED) + 1  # number of adjoints that nodes share: of these settings and of kappa
 
 
 @ti.func
@@ -53,7 +53,7 @@ def keep_nodes(worker, arrays: ti.template()):
 
 @ti.func
 def node_reverse(node, adj, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
-    """Adjoints of node `index`, i, j, k, (momentum, mass, force) from those of what it became; the SUMS it shares."""
+    """Adjoints of node `index`, i, j, k, (momentum, mass, force) from those after the step; and the SUMS it shares."""
     features = arrays.features
     dimension = ti.static(features.dimension)
     per_mass = 1.0 / node[dimension]
@@ -73,7 +73,7 @@ def node_reverse(node, adj, index: ti.template(), worker, scene, dt, kappa, arra
     indices, cells = ti.Vector([index[axis] for axis in ti.static(range(dimension))]), box_cells(scene, arrays)
     v_star = v + dt * damped
     if ti.static(features.barriers):
-        # Barriers take components away and damp: what they do to a velocity they do to its adjoint.
+        # Barriers remove components and damp: they act on the adjoint as on the velocity.
         adj_new = apply_barriers(adj_new, indices, scene, dt, arrays)
     adj_mass, adj_side = zero, zero
     if ti.static(features.contact or features.channel):
@@ -129,7 +129,7 @@ def node_reverse(node, adj, index: ti.template(), worker, scene, dt, kappa, arra
 
 @ti.func
 def update_grid_reverse(worker, scene, dt, kappa, arrays: ti.template()):
-    """Adjoints of the nodes that a worker owns, in place; add what they share to `arrays.sums`."""
+    """Adjoints of the nodes that a worker owns, in place; add their shared adjoints to `arrays.sums`."""
     total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
     first, deep = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays)
     for n in range(arrays.workers[worker, Worker.ACTIVE]):

@@ -1,10 +1,10 @@
-"""The steps of a segment once more, with every state kept; and those steps backwards, from their last to their first.
+"""Replay of the steps of a segment, keeping every state; and reversal of these steps, from the last to the first.
 
     replay     states s_0, ..., s_n of a segment, by the functions of `mpm.kernel` in their order: the same to the bit
     reverse    s_k' = (ds_{k+1} / ds_k)^T s_{k+1}',  k = n - 1, ..., 0
 
-A reverse step computes the grid of its step anew from s_k, because that is cheaper than to keep it: particles to grid,
-velocities of the nodes, then adjoints of particles to adjoints of nodes, of nodes before their forces, and of particles
+A reverse step recomputes the grid of its step from s_k, which is cheaper than storing it: particles to grid, velocities
+of the nodes, then adjoints of particles to adjoints of nodes, of nodes before their forces, and of particles
 (`mpm.adjoint.particles`). Scenes and threads are those of `mpm.kernel`.
 """
 
@@ -33,13 +33,13 @@ class Pass(Enum):
     """What a call of the kernel does with the frames of a segment."""
 
     REPLAY = auto()  # compute the frames [first, last) and keep the state before every step and at the end
-    REVERSE = auto()  # take the adjoints at the end of what was replayed back to its beginning
-    START = auto()  # take the adjoints of the contact at the beginning to those of what it follows from
+    REVERSE = auto()  # take the adjoints at the end of the replayed steps back to their beginning
+    START = auto()  # take the adjoints of the initial contact to those of its inputs
 
 
 @ti.func
 def copy_state(worker, step, keep: ti.template(), arrays: ti.template()):
-    """Keep the states of a worker's blocks as those before `step`, or bring these back."""
+    """Store the states of a worker's blocks as those before `step`, or restore these."""
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         at, state_at = state_before(step, block, arrays), block * arrays.features.state.size
         for k in range(arrays.layout.history):
@@ -51,7 +51,7 @@ def copy_state(worker, step, keep: ti.template(), arrays: ti.template()):
 
 @ti.func
 def replay(worker, first, last, arrays: ti.template()):
-    """Compute the frames [first, last) as `mpm.kernel.advance_thread`, keeping every state, while grids have room."""
+    """Compute the frames [first, last) like `mpm.kernel.advance_thread`, keeping every state, while grids have room."""
     scene = arrays.workers[worker, Worker.SCENE]
     step, moved = 0, 0.0 * arrays.settings[scene, Setting.CELL] + OUTDATED
     for _frame in range(first, last):
@@ -77,7 +77,7 @@ def replay(worker, first, last, arrays: ti.template()):
 def reverse(worker, arrays: ti.template()):
     """Adjoints of a worker's scene at the beginning of its replayed steps from those at their end.
 
-    Where a grid has no room for a step, `step_counts` says how many remain to be reversed.
+    If a grid has no room for a step, `step_counts` says how many remain to be reversed.
     """
     scene = arrays.workers[worker, Worker.SCENE]
     remaining = arrays.step_counts[scene]
@@ -94,7 +94,7 @@ def reverse(worker, arrays: ti.template()):
 
 @ti.func
 def make_grid(worker, scene, step, arrays: ti.template()):
-    """The states of a worker before `step`, and what they give to its nodes, if it has room for them."""
+    """Restore the states of a worker before `step`, and their sums at its nodes, if there is room."""
     copy_state(worker, step, False, arrays)
     make_columns(worker, scene, arrays)
     if arrays.workers[worker, Worker.USED] <= arrays.workers[worker, Worker.ROOM]:
@@ -104,7 +104,7 @@ def make_grid(worker, scene, step, arrays: ti.template()):
 
 @ti.func
 def reverse_step(worker, scene, step, arrays: ti.template()):
-    """Adjoints of a worker before `step` from those after it; its grid is made."""
+    """Adjoints of a worker before `step` from those after it; its grid must be made."""
     dt = arrays.step_times[scene, step]
     kappa = relaxation_factor(scene, dt, arrays)
     keep_nodes(worker, arrays)
@@ -123,11 +123,11 @@ def reverse_step(worker, scene, step, arrays: ti.template()):
 
 @ti.func
 def reverse_start(worker, arrays: ti.template()):
-    """From the adjoints of the contact that a run begins with to those of positions and faces."""
+    """From the adjoints of the initial contact of a run to those of positions and faces."""
     if ti.static(arrays.features.contact):
         scene = arrays.workers[worker, Worker.SCENE]
         for number in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-            # What is after no step is the state before the first one.
+            # The state after no step is that before the first.
             block = block_of(worker, scene, number, -1, 0.0, 0.0, arrays)
             found_reverse(block, False, arrays)
 

@@ -1,7 +1,7 @@
-"""What the reverse of a step keeps of every particle and of a worker, beside the arrays of the step itself.
+"""The memory of the reverse of a step for particles and workers, besides the arrays of the step itself.
 
-The adjoints of a block of particles, and what is kept of it, lie as the numbers do in its state: position, velocity, C,
-stress from vector 0 on, then contact; the adjoints of its material properties follow.
+The adjoints of a block of particles, and its history, are ordered like its state: position, velocity, C, stress from
+vector 0 on, then contact; the adjoints of its material properties follow.
 """
 
 from dataclasses import dataclass
@@ -20,10 +20,10 @@ class Layout:
     """Where adjoints and the history of states lie; the kernel is compiled for it."""
 
     features: Features
-    exact: bool = False  # whether damping's sign has the slope of the step, else a bounded one (`mpm.adjoint.grid`)
+    exact: bool = False  # whether the sign of damping has its true slope, else a bounded one (`mpm.adjoint.grid`)
     impulses: bool = False  # whether the objective depends on the momentum that solids have taken
 
-    _data_oriented: ClassVar[bool] = True  # tells Taichi that a kernel may hold it as a Python object of compile time
+    _data_oriented: ClassVar[bool] = True  # tells Taichi that a kernel may hold it as a compile-time Python object
 
     @property
     def width(self) -> int:
@@ -32,12 +32,12 @@ class Layout:
 
     @property
     def history(self) -> int:
-        """Vectors of a block that are kept of every step, the first of its state: a reverse step reads no others."""
+        """Number of vectors of a block kept for every step, the first of its state: a reverse step reads no others."""
         return self.features.state.present + int(self.features.outflow)
 
     @cached_property
     def scratch(self) -> Addresses:
-        """Vectors of a worker's scratch: those of the step, whose weights times distances become slopes, then more."""
+        """Vectors of a worker's scratch: those of the step, slopes in place of weights times distances; then more."""
         size, contact = self.features.dimension, int(self.features.contact)
         return Addresses(
             weights=3 * size,
@@ -52,7 +52,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A block of particles in a step that is reversed: numbers of the kernel, which its functions pass on together."""
+    """A block of particles in a reversed step: numbers of the kernel that its functions pass on together."""
 
     worker: Any
     scene: Any
@@ -98,7 +98,7 @@ def add_property_adjoint(block: ti.template(), column: ti.template(), value, arr
 
 @ti.func
 def add_setting_adjoint(block: ti.template(), setting: ti.template(), value, arrays: ti.template()):
-    """Add to the adjoint of a setting what the particles of a block, in the box, share of it."""
+    """Add the contributions of a block's particles, in the box, to the adjoint of a setting."""
     total = lane_sum(present(block.number, arrays) * value, arrays)
     arrays.sums[block.worker, ti.static(int(setting))] += total
 

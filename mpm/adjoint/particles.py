@@ -1,10 +1,10 @@
-"""The reverse of what a block of particles does in a step: `mpm.physics.particles` and its giving to the grid.
+"""The reverse of a block of particles in a step: `mpm.physics.particles` and its contributions to the grid.
 
     x <- x + dt u_p,   v <- kappa v + change_p,   C <- C_p,   sigma <- stress step of (sigma, dt C_p)
 
 From the last of these to the first: adjoints of the stress and C by `mpm.adjoint.stress`; a coordinate that a wall of
-the box has put back has none; u_p' = dt x'; change_p' = v' and then v' = kappa v'. The adjoints go to the nodes,
-through the grid, and come back to x, v, C, sigma and the properties of the particles.
+the box has reset has none; u_p' = dt x'; change_p' = v' and then v' = kappa v'. The adjoints go to the nodes, through
+the grid, and come back to x, v, C, sigma and the properties of the particles.
 """
 
 import taichi as ti
@@ -33,7 +33,7 @@ from mpm.physics.transfer import (
 
 @ti.func
 def block_of(worker, scene, number, step, dt, kappa, arrays: ti.template()):
-    """What the functions of the reverse of `step` know of the block with this number."""
+    """The data of the block with this number for the functions that reverse `step`."""
     state, adj = no_overflow(number * arrays.features.state.size), number * arrays.layout.width
     after = state_before(step + 1, number, arrays)
     table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
@@ -42,11 +42,11 @@ def block_of(worker, scene, number, step, dt, kappa, arrays: ti.template()):
 
 @ti.func
 def update_block_reverse(block: ti.template(), arrays: ti.template()):
-    """Adjoints of a block at the start of a step, but for what it gave to the grid; and those of the nodes."""
+    """Adjoints of a block at the start of a step, without its contributions to the grid; and those of the nodes."""
     features, layout, scene = arrays.features, arrays.layout, block.scene
     size, velocity = ti.static(features.dimension, features.state.velocity)
     if ti.static(features.outflow):
-        # What has left keeps its position alone.
+        # Particles that have left keep only their position.
         here = arrays.history[block.after + features.state.present]
         for k in range(velocity, ti.static(features.state.stress + features.stresses)):
             arrays.adjoints[block.adj + k] = here * arrays.adjoints[block.adj + k]
@@ -82,7 +82,7 @@ def update_block_reverse(block: ti.template(), arrays: ti.template()):
             adj_motion[i] = adj_motion[i] + arrays.scratch[block.scratch + layout.scratch.foot + i]
         adj_kappa = adj_kappa + adj_change[i] * arrays.state[block.state + velocity + i]
         arrays.adjoints[block.adj + velocity + i] = block.kappa * adj_change[i]
-    # The adjoints of what a particle takes of a node, number by number, and of the slopes of these.
+    # The adjoints of a particle's sums over nodes, number by number, and of the slopes of these.
     numbers = ti.static([first + k for first in (0, features.node.change) for k in range(size)] + [size])
     adj_taken = adj_motion + adj_change + [0.0 * adj_kappa]
     adj_slopes = adj_motion_slopes + [0.0 * adj_kappa for _ in ti.static(range(size))]
@@ -117,7 +117,7 @@ def update_block_reverse(block: ti.template(), arrays: ti.template()):
 
 
 def given_of(carried, volume, density, pushed, grip, distances, dx, width, features):
-    """What a particle gives to a node at its own place, number by number, then the slopes of it per cell; traced."""
+    """Contribution of a particle to a node at its own place, number by number, then its slopes per cell; traced."""
     mass, here = volume * density, [0.0] * features.dimension
     momentum, slopes, pull, forces = contributions(carried, mass, volume, here, dx, features)
     if pushed:
@@ -131,9 +131,9 @@ def given_of(carried, volume, density, pushed, grip, distances, dx, width, featu
 
 @ti.func
 def block_to_grid_reverse(block: ti.template(), arrays: ti.template()):
-    """Add to the adjoints of a block those of what it gave to the nodes, whose own are known.
+    """Add to the adjoints of a block those of its contributions to the nodes, whose adjoints are known.
 
-    Particles whose velocity then has an adjoint beyond the cut (`mpm.adjoint.tape.CUT`) have none any more.
+    Particles whose velocity then has an adjoint beyond the cut (`mpm.adjoint.tape.CUT`) lose all adjoints.
     """
     features, layout, scene = arrays.features, arrays.layout, block.scene
     size = ti.static(features.dimension)
@@ -156,7 +156,7 @@ def block_to_grid_reverse(block: ti.template(), arrays: ti.template()):
     distances = vectors(arrays.state, block.state + away, int(features.turbulent))
     numbers = ti.static(((velocity, affine, stress), volume, density, pushed, grip, distances))
     given = ti.static([Pullback(given_of, numbers, (dx, width, features))])[0]
-    # Of what is given at the particle itself, then of its slopes per cell.
+    # Of the contribution at the particle itself, then of its slopes per cell.
     adj = vectors(arrays.scratch, block.scratch + layout.scratch.sums, features.node.size)
     slopes = moments_of(block, 0, size, per_dx, arrays)
     forces = moments_of(block, features.node.force, size, per_dx, arrays)

@@ -1,14 +1,14 @@
 """Reverse mode by overloaded operators (Griewank & Walther 2008, chapter 6), while Taichi compiles a kernel.
 
     step = ti.static([Pullback(function, (stress, moduli), (dimension,))])[0]
-    step.values                                         # what function(stress, moduli, dimension) returns, a flat list
-    adj_stress, adj_moduli = ti.static(step(adjoints))  # of the arguments, each shaped as it is, from those of values
+    step.values                                         # result of function(stress, moduli, dimension), a flat list
+    adj_stress, adj_moduli = ti.static(step(adjoints))  # of the arguments, in their shapes, from those of values
 
 A function of `mpm.physics` that is straight-line code (+ - * /, ti.sqrt, ti.select, comparisons, and calls of other
-such functions) is run once more as the Python that it is, on numbers that add their operations to the kernel and
-remember what they were made of; backwards, what each takes of the adjoint of the next is added, too. So a term and its
-reverse have one text, and the reverse takes the side of a corner that the step took. The derivative of a root at 0 is
-taken as 0.
+such functions) is run once more as plain Python, on numbers that add their operations to the kernel and remember their
+operands; then, backwards, the share of each operand in the adjoint of its result is added, too. So a term and its
+reverse have one source, and at a kink the reverse takes the side that the step took. The derivative of a root at 0 is
+set to 0.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,16 +21,16 @@ import taichi as ti
 from taichi.lang.expr import Expr
 from taichi.lang.impl import expr_init
 
-Rule = Callable[[Any], Any]  # what an operand takes of the adjoint of a result
+Rule = Callable[[Any], Any]  # the adjoint of an operand from that of the result
 
 
 def compared(relation: Callable[[Any, Any], Any]) -> Any:
-    """A comparison as a method of `Number`; what it finds has no adjoint."""
+    """A comparison as a method of `Number`; its result has no adjoint."""
     return lambda number, other: expr_init(relation(number.value, plain(other)))
 
 
 class Number:
-    """A number of the traced function, or a vector of lanes of them: a variable of the kernel."""
+    """A number of the traced function, or a vector of lanes of such numbers: a variable of the kernel."""
 
     def __init__(self, tape: list["Number"], value: Any, *operands: tuple[Any, Rule], active: bool = False) -> None:
         self.tape, self.value = tape, expr_init(value)
@@ -78,30 +78,30 @@ class Number:
 
 
 def plain(number: Any) -> Any:
-    """The expression of a `Number`; what else is a number as it is."""
+    """The expression of a `Number`; other numbers unchanged."""
     return number.value if isinstance(number, Number) else number
 
 
 def root(a: Number) -> Number:
-    """As `ti.sqrt`."""
+    """Like `ti.sqrt`."""
     operand = (a, lambda adj: ti.select(result.value > 0.0, 0.5 * adj / result.value, 0.0))
     result: Number = Number(a.tape, ti.sqrt(a.value), operand)
     return result
 
 
 def selected(condition: Any, a: Any, b: Any) -> Number:
-    """As `ti.select`, of which one at least is a `Number`."""
+    """Like `ti.select`; at least one value is a `Number`."""
     tape = a.tape if isinstance(a, Number) else b.tape
     first, second = (a, lambda adj: ti.select(condition, adj, 0.0)), (b, lambda adj: ti.select(condition, 0.0, adj))
     return Number(tape, ti.select(condition, plain(a), plain(b)), first, second)
 
 
-OPERATIONS = SimpleNamespace(static=lambda value: value, sqrt=root, select=selected)  # what `ti` is to traced functions
+OPERATIONS = SimpleNamespace(static=lambda value: value, sqrt=root, select=selected)  # `ti` in traced functions
 
 
 @cache
 def traceable(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The Python of a function of Taichi, with `OPERATIONS` for Taichi's and the Python of those that it calls."""
+    """The Python of a Taichi function, with `OPERATIONS` for Taichi's and the Python of the functions it calls."""
     python: Any = getattr(function, "__wrapped__", function)
     used = {name: value for name, value in python.__globals__.items() if name in names_in(python.__code__)}
     used = {name: traceable(value) if isinstance(value, FunctionType) else value for name, value in used.items()}
@@ -110,7 +110,7 @@ def traceable(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def names_in(code: CodeType) -> set[str]:
-    """The names that a function uses, in its comprehensions too."""
+    """The names that a function uses, including its comprehensions."""
     inner = (names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType))
     return set(code.co_names).union(*inner)
 
@@ -138,7 +138,7 @@ class Pullback:
         self.values = [plain(result) for result in self.results]
 
     def __call__(self, adjoints: Sequence[Any]) -> list[Any]:
-        """Adjoints of the arguments from those of the values; a value that is None has none."""
+        """Adjoints of the arguments from those of the values; None stands for no adjoint."""
         for result, adj in zip(self.results, adjoints, strict=True):
             if isinstance(result, Number):
                 result.adj = expr_init(adj if result.adj is None else result.adj + adj)

@@ -1,19 +1,19 @@
 """The reverse of a block's stress step (`mpm.physics.particles.update_stress`).
 
-All but the turn into principal axes is traced (`mpm.adjoint.pullback`). The return is an isotropic function of the
+All except the turn into principal axes is traced (`mpm.adjoint.pullback`). The return is an isotropic function of the
 trial stress: s_i, n_i its principal values and axes, t_i(s) the returned ones. Its derivative in the axes of the trial
 stress is (Carlson & Hoger 1986; de Souza Neto, Peric & Owen 2008, app. A)
 
     d sigma_ii = sum_j dt_i/ds_j dS_jj,      d sigma_ij = theta_ij dS_ij,     theta_ij = (t_i - t_j) / (s_i - s_j)
 
-and that of the adjoints is its transpose: the diagonal by tracing t(s), the rest by the same theta. Where two principal
-values meet, theta is its limit dt_i/ds_i - dt_i/ds_j: 1 where nothing yields and where both fell alike beside a crack,
-0 on an edge, at the apex and where both stand at the cutoff, since the return then keeps them equal. So every
-derivative is finite, and at an edge, the apex or the cutoff it is that of the piece which the return takes.
+and the adjoints follow by its transpose: the diagonal by tracing t(s), the rest by the same theta. Where two principal
+values coincide, theta is its limit dt_i/ds_i - dt_i/ds_j: 1 where nothing yields and where both fell alike beside a
+crack, 0 on an edge, at the apex and where both are at the cutoff, since the return then keeps them equal. So every
+derivative is finite, and at an edge, the apex or the cutoff it is that of the branch which the return takes.
 
-An adjoint of xy is that of the number which stands for xy and yx. The step carries its return to the tensor without
-axes (`mpm.physics.stress`); here principal stresses that are equal or close must leave the axes undetermined but
-orthonormal: Jacobi's rotations give such axes to rounding whatever the stress (Golub & Van Loan 2013, section 8.5).
+An adjoint of xy belongs to the number that represents both xy and yx. The step applies its return without axes
+(`mpm.physics.stress`). Here axes must be orthonormal even where equal or close principal stresses leave them
+undetermined: Jacobi's rotations give such axes to rounding for any stress (Golub & Van Loan 2013, section 8.5).
 """
 
 import taichi as ti
@@ -30,15 +30,15 @@ from mpm.physics.stress import equivalent_strain, midpoint_increment, strain_bet
 from mpm.physics.transfer import property_of
 from mpm.physics.volume_correction import LEAST, grid_gap, updated_gap
 
-SWEEPS = {"f32": 4, "f64": 6}  # sweeps of three rotations: what is left off the diagonal falls at least with its square
+SWEEPS = {"f32": 4, "f64": 6}  # sweeps of three rotations: off-diagonal elements decrease at least quadratically
 
 
 def before_return(columns, strained, moduli, opening, box, dt, strengths_at, features):
-    """What the plastic return of a block takes, traced: the trial stress [Pa] after the strain of C and of contact,
-    with the cracks that gaps leave, then the strengths of its law.
+    """Arguments of the plastic return of a block, traced: the trial stress [Pa] after the strain of C and of contact,
+    with cracks from gaps, then the strengths of its law.
 
-    columns: the values of those of the law, and the plastic strain; strained: stress, C, jump of velocity at contact
-    and contact; opening: gap, rate at which it follows the grid's, mass of the grid around, place and density; box:
+    columns: the values of the law's columns, and the plastic strain; strained: stress, C, velocity jump at contact and
+    contact; opening: gap, rate at which it follows the grid's gap, mass of the grid around, position and density; box:
     cell, cells along each axis and T_0.
     """
     strengths = strengths_at(*columns, box[0], dt, features)
@@ -53,20 +53,20 @@ def before_return(columns, strained, moduli, opening, box, dt, strengths_at, fea
 
 
 def increment_of(strained, dt, features):
-    """Strain and rotation [-] of a step of a block, traced: of C and of contact."""
+    """Strain and rotation [-] of a block in a step, from C and contact; traced."""
     _, affine, jump, contact = strained
     increment = midpoint_increment([dt * entry for entry in affine], features.dimension)
     return with_jump(increment, jump, contact, features.dimension) if features.contact else increment
 
 
 def strain_of(strained, moduli, new, dt, features):
-    """Plastic strain [-] of a block where cracks count as strain (`mpm.physics.stress.stress_step`); traced."""
+    """Plastic strain [-] of a block if cracks count as strain (`mpm.physics.stress.stress_step`); traced."""
     bare = trial_stress(strained[0], increment_of(strained, dt, features), *moduli, features.dimension)
     return [strain_between(bare, new, moduli[1], features.stresses)]
 
 
 def principal_return(s1, s2, s3, strengths, lame, shear, return_principal, features):
-    """Returned principal stresses [Pa] and, where a step keeps them, plastic strain [-] and opening [Pa]; traced."""
+    """Returned principal stresses [Pa] and, if a step keeps them, plastic strain [-] and opening [Pa]; traced."""
     t1, t2, t3, opened = return_principal(s1, s2, s3, strengths, lame, shear, features)
     strain = equivalent_strain(t1 - s1, t2 - s2, t3 - s3, shear) if features.softens else None
     return t1, t2, t3, strain, opened if features.volume_correction else None
@@ -76,7 +76,7 @@ def principal_return(s1, s2, s3, strengths, lame, shear, return_principal, featu
 def stress_reverse(block: ti.template(), arrays: ti.template()):
     """Adjoints of the stress before the step, of C after it and of the properties, from that of the stress after it.
 
-    With volume correction also of the grid's mass and its slopes, in their place in `scratch`.
+    With volume correction, also those of the grid's mass and its slopes, in their place in `scratch`.
     """
     features, layout = arrays.features, arrays.layout
     scene, number, dt = block.scene, block.number, block.dt
@@ -154,7 +154,7 @@ def stress_reverse(block: ti.template(), arrays: ti.template()):
 
 @ti.func
 def add_strained(block: ti.template(), adj: ti.template(), arrays: ti.template()):
-    """Add the adjoints of what strains a block, `strained` of `before_return`, but for that of the jump."""
+    """Add the adjoints of `strained` of `before_return`, except that of the jump."""
     state = arrays.features.state
     add_adjoints(block, state.stress, adj[0], arrays)
     add_adjoints(block, state.affine, adj[1], arrays)
@@ -182,7 +182,7 @@ def plastic_return_reverse(
 ):
     """Adjoints of the trial stress, of the `strengths` of its law and of (lambda, mu), a list each.
 
-    adj: of what `mpm.physics.stress.plastic_return` gives: stress, plastic strain and what opened.
+    adj: of what `mpm.physics.stress.plastic_return` gives: stress, plastic strain and opening.
     """
     adj_strain, adj_opened = adj[features.stresses], adj[features.stresses + 1]
     if ti.static(hasattr(features.law, "return_tensor")):
@@ -191,7 +191,7 @@ def plastic_return_reverse(
         return adjoints[0], adjoints[1], [adjoints[2], adjoints[3]]
     else:
         p = (trial[0] + trial[1] + trial[2]) / 3.0
-        # In 2D nothing turns out of the plane.
+        # In 2D axes do not turn out of the plane.
         none = [0.0 * p for _ in ti.static(range(6 - features.stresses))]
         shears = [trial[k] for k in ti.static(range(3, features.stresses))]
         deviator = [trial[k] - p for k in ti.static(range(3))]
@@ -215,14 +215,14 @@ def plastic_return_reverse(
 
 @ti.func
 def theta(t, s, free):
-    """theta [-] from differences of returned and trial stresses; 1 where the axes of both turn freely."""
+    """theta [-] from differences of returned and trial stresses; 1 if the axes of both turn freely."""
     quotient = minimum(maximum(t / maximum(s, TINY), 0.0), 1.0)
     return ti.select(free, 0.0 * quotient + 1.0, quotient)
 
 
 @ti.func
 def in_axes(m: ti.template(), axes: ti.template()):
-    """A M A^T of a symmetric M as xx, yy, zz, xy, yz, zx; the rows of A are `axes`, three after three."""
+    """A M A^T of a symmetric M as xx, yy, zz, xy, yz, zx; the rows of A are `axes`, three by three."""
     am = [
         axes[3 * (k // 3)] * m[ti.static(component(0, k % 3))]
         + axes[3 * (k // 3) + 1] * m[ti.static(component(1, k % 3))]
@@ -237,10 +237,10 @@ def in_axes(m: ti.template(), axes: ti.template()):
 
 @ti.func
 def principal_axes(m: ti.template(), features: ti.template()):
-    """Principal values s1 >= s2 >= s3 of six components and their axes, three after three; one rotation does in 2D."""
+    """Principal values s1 >= s2 >= s3 of six components and their axes, three by three; 2D needs one rotation."""
     zero = 0.0 * m[0]
     value = [m[k] + zero for k in ti.static(range(3))]
-    # Across the axis k.
+    # Element across axis k.
     off = [m[4] + zero, m[5] + zero, m[3] + zero]
     axes = [zero + ti.static(float(k % 4 == 0)) for k in ti.static(range(9))]
     for _ in range(ti.static(SWEEPS[features.precision] if features.dimension == 3 else 1)):

@@ -1,9 +1,9 @@
-"""A run that can be differentiated: forwards with checkpoints, backwards segment by segment (Griewank & Walther 2000).
+"""A differentiable run: forwards with checkpoints, backwards segment by segment (Griewank & Walther 2000).
 
-Two levels. The run goes forwards in the solver's own kernel and keeps its state at the first frame of every segment.
-Backwards, the last segment first, a segment is replayed from there with the state before every step in memory, and its
-steps are reversed. With F frames of n steps and segments of k frames that is F / k states and k n: least at
-k = sqrt(F / n), so memory grows with the root of the steps and every step is computed twice and reversed once.
+There are two levels. The run goes forwards in the solver's own kernel and keeps its state at the first frame of every
+segment. Backwards, the last segment first, each segment is replayed from its checkpoint with the state before every
+step in memory, and its steps are reversed. With F frames of n steps and segments of k frames, memory holds F / k + k n
+states, least at k = sqrt(F / n): it grows with the root of the steps; each step is computed twice and reversed once.
 """
 
 import dataclasses
@@ -32,37 +32,37 @@ from mpm.output.recording import LAST
 Array = NDArray[Any]
 
 MEMORY_MIB = 256.0
-"""What checkpoints, states of a segment and adjoints may take unless another budget is given [MiB]."""
+"""Default memory budget of checkpoints, states of a segment and adjoints [MiB]."""
 CUT = 20.0
-"""Adjoint of a particle's velocity, over the largest that the objective has times the duration, beyond which it is cut.
+"""Adjoint of a particle's velocity, over the largest of the objective times the duration, above which it is cut.
 
-Single particles that fly apart and touch again swing on their own, and where a step is large ever more so until they
-lose touch: some 1e-8 m, in a flow that does not notice. The derivative along the run grows by a factor at each of their
-steps. What such a particle does has no derivative that says anything, and its adjoint is set to 0; what it gave to
-others before is not, so that an inversion takes shorter steps (`steady`). Adjoints of the force on a baffle grow beyond
-5 without such particles."""
+Single particles that fly apart and touch again oscillate on their own; with large steps the oscillation grows until
+they lose contact: some 1e-8 m, without effect on the flow. The derivative along the run grows by a factor at each of
+their steps. The motion of such a particle has no meaningful derivative, and its adjoint is set to 0. Its earlier
+contributions to others are kept, so that an inversion takes shorter steps (`steady`). Adjoints of the force on a baffle
+exceed 5 even without such particles."""
 MOST_CUT = 0.02
-"""Share of all adjoints of particles and steps from which a gradient with cuts is none."""
+"""Share of cut adjoints, of all particles and steps, from which a gradient is rejected."""
 SPARE = 1.25
-"""More steps in a frame than its usual number, for which a plan has room: fast particles shorten the step."""
+"""Steps in a frame, over its usual number, for which a plan has room: fast particles shorten the step."""
 
 
 def check(features: Features) -> None:
-    """Raise InputError where the adjoint does not know something that scenes with `features` have."""
-    dry = "false: the adjoint has no reverse of pore water, python -m validation.loop needs none"
+    """Raise InputError if scenes with `features` need something without an adjoint."""
+    dry = "false: the adjoint does not cover pore water, python -m validation.loop needs none"
     require(not features.pores, "material.saturated", dry, "true")
     if features.gates:
-        raise InputError("expected a scene that the adjoint knows, it has no reverse of a gate yet", key="scene")
+        raise InputError("expected a scene without a gate, which the adjoint does not cover yet", key="scene")
     if features.inflow:
-        raise InputError("expected masses that are there from the start, the adjoint has no inflow", key="masses")
+        raise InputError("expected masses present from the start, the adjoint does not cover inflow", key="masses")
 
 
 def steady(scene: Scene) -> Scene:
-    """The scene with steps in which, in 3D, no particle that has its nodes to itself swings ever more.
+    """The scene with steps short enough that, in 3D, no isolated particle oscillates with growing amplitude.
 
-    They are at most sqrt((lambda + 2 mu) / (3 lambda + 2 mu)) of a cell over the speed of waves, 0.73 with nu = 0.3.
-    With longer ones a few particles make up most of a gradient though they move by 1e-8 m, as where a system is chaotic
-    (Metz et al. 2021, Gradients are not all you need). In 2D few particles fly alone, and the flow keeps its step.
+    They are at most sqrt((lambda + 2 mu) / (3 lambda + 2 mu)) of a cell over the wave speed, 0.73 with nu = 0.3. With
+    longer steps a few particles dominate a gradient although they move by only 1e-8 m, as in a chaotic system (Metz et
+    al. 2021, Gradients are not all you need). In 2D few particles fly alone, and the scene keeps its step.
     """
     if scene.dimension < 3:
         return scene
@@ -72,25 +72,24 @@ def steady(scene: Scene) -> Scene:
 
 
 class FlowAdjoints(NamedTuple):
-    """Adjoints of what a run of a scene is observed by, at T frames."""
+    """Adjoints of the observed quantities of a run of a scene, at T frames."""
 
     positions: Array
-    """Of N particles [J / m], shape [T, N, D]."""
+    """Adjoints of the positions of N particles [J / m], shape [T, N, D]."""
     velocities: Array | None = None
-    """[J s / m], shape [T, N, D]; none where J does not depend on them."""
+    """[J s / m], shape [T, N, D]; None if J does not depend on them."""
     impulses: Array | None = None
-    """Of the momentum that solids have taken [J / (N s)], shape [T, solids, D]; none where J does not depend on it."""
+    """Of the momentum that solids have taken [J / (N s)], shape [T, solids, D]; None if J does not depend on it."""
 
 
 class Tape:
-    """A run of scenes of one kind side by side, a thread each, whose adjoints can be taken back to its start.
+    """A run of scenes of one kind side by side, one thread each, whose adjoints can be taken back to its start.
 
-    Of one large scene on all threads. frames: at whose ends the flow is observed, ascending; the last is where the run
-    ends. memory_mib: what it may take beside the arrays of the run itself; outputs: objectives that are reversed
-    together, for whose adjoints memory is counted; exact: as `mpm.adjoint.layout.Layout.exact`, for tests; particles:
-    those of each scene at the start, where a run begins with others than the scene's. Raises InputError where a scene
-    has what the adjoint does not know, where scenes differ in it, or where the budget is too small; WorkFailed where a
-    run blows up.
+    A single large scene uses all threads. frames: observed frames, ascending; the run ends at the last. memory_mib:
+    budget besides the arrays of the run itself; outputs: number of objectives that are reversed together, for whose
+    adjoints memory is counted; exact: as `mpm.adjoint.layout.Layout.exact`, for tests; particles: initial particles of
+    each scene, if they differ from the scene's own. Raises InputError if a scene needs something without an adjoint, if
+    the scenes differ in kind, or if the budget is too small; WorkFailed if a run blows up.
     """
 
     def __init__(
@@ -111,10 +110,10 @@ class Tape:
         particles = particles_of(scenes) if particles is None else list(particles)
         features = features_of(scenes, precision, record=LAST)
         if any(features_of([scene], precision, record=LAST) != features for scene in scenes):
-            raise InputError("expected scenes of one kind: each has what every other has, contact, damping, ...")
+            raise InputError("expected scenes of one kind, with the same features: contact, damping, ...")
         check(features)
         if any(scene.stages for scene in scenes):
-            raise InputError("expected a scene without stages, of which the adjoint has no reverse", key="stages")
+            raise InputError("expected a scene without stages, which the adjoint does not cover", key="stages")
         workers = runtime.workers_for(len(particles[0].positions), threads) if len(scenes) == 1 else 1
         runtime.start(precision, threads, enough=max(workers, min(len(scenes), threads or len(scenes))))
         self.batch = Batch(scenes, precision=precision, workers=workers, record=LAST, particles=particles)
@@ -131,28 +130,28 @@ class Tape:
         self.released: set[int] = set()
         self.memory_mib, vector = memory_mib, self.batch.state[:, 0].nbytes
         self.state_bytes, self.step_bytes = len(self.changing) * vector, self.layout.history * vector
-        """Of a checkpoint, and of the states before one step."""
+        """Bytes of a checkpoint, and of the states before one step."""
         self.adjoint_bytes = outputs * self.layout.width * vector
-        """Of the adjoints of particles."""
+        """Bytes of the adjoints of particles."""
         usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
         self.run(usual, SPARE * usual)
         opened = {frame for frame in self.batch.retained[:, Retained.OPENED].tolist() if 0 < frame < self.frames[-1]}
         if missing := opened - set(self.boundaries):
-            # Barriers are open or closed over a whole segment.
+            # Within a segment, barriers are either open or closed.
             self.released = missing
             self.run(usual, SPARE * usual)
         if self.bytes() > memory_mib * 2**20:
-            # More steps than planned for: now their number is known.
+            # There were more steps than planned; now their number is known.
             most = float(np.max(self.steps / np.diff(self.boundaries)[:, None]))
             self.run(most, most)
 
     @property
     def fixed_bytes(self) -> int:
-        """Of adjoints and of the nodes that a reverse step keeps."""
+        """Bytes of adjoints and of the nodes that a reverse step keeps."""
         return 2 * self.batch.grid.nbytes + self.adjoint_bytes
 
     def plan(self, usual: float, most: float) -> list[int]:
-        """The frames at which segments begin, and the last; steps in a frame: `usual` ones, at `most`."""
+        """The frames at which segments begin, and the last; steps in a frame: usually `usual`, at most `most`."""
         last, budget = self.frames[-1], self.memory_mib * 2**20 - self.fixed_bytes
         best, smallest = [0, last], math.inf
         for length in range(1, last + 1):
@@ -166,7 +165,7 @@ class Tape:
         return best
 
     def bytes(self) -> int:
-        """Of everything beside the arrays of the run itself."""
+        """Bytes of everything besides the arrays of the run itself."""
         longest = int(self.steps.max()) + 1
         return self.fixed_bytes + len(self.checkpoints) * self.state_bytes + longest * self.step_bytes
 
@@ -175,11 +174,11 @@ class Tape:
         return self.batch.state[:, self.changing].copy()
 
     def restore(self, checkpoint: Array) -> None:
-        """Go back to a state."""
+        """Return to a state."""
         self.batch.state[:, self.changing] = checkpoint
 
     def run(self, usual: float, most: float) -> None:
-        """Forwards, by the solver's kernel, in the segments of a `plan`."""
+        """Run forwards with the solver's kernel, in the segments of a `plan`."""
         self.boundaries = self.plan(usual, most)
         self.restore(self.start)
         self.batch.impulse[:], self.batch.recorded_impulse[:] = 0.0, 0.0
@@ -198,7 +197,7 @@ class Tape:
             if (failed := failure(self.batch, index)) is not None:
                 raise failed
         self.steps = np.diff(steps, axis=0)
-        """Of each segment and scene, shape [segments, scenes]."""
+        """Steps of each segment and scene, shape [segments, scenes]."""
 
     def motion(self) -> tuple[Array, Array]:
         """Positions [m] and velocities [m/s] of the particles of all scenes, shape [blocks * lanes, D] each."""
@@ -210,12 +209,12 @@ class Tape:
         return np.moveaxis(blocks[:, first : first + count], 1, 2).reshape(-1, count).copy()
 
     def particles(self, index: int) -> slice:
-        """Where the particles of scene `index` lie in what `vectors` returns."""
+        """The place of the particles of scene `index` in the result of `vectors`."""
         first = int(self.batch.offsets[index, Offset.BLOCK]) * self.features.lanes
         return slice(first, first + int(self.batch.offsets[index, Offset.PARTICLES]))
 
     def solids(self, index: int) -> tuple[slice, slice]:
-        """Where the faces of scene `index`, and its holds of nodes, lie among those of all scenes."""
+        """The place of the faces of scene `index`, and of its holds of nodes, among those of all scenes."""
         if not self.features.contact:
             return slice(0), slice(0)
         firsts = self.batch.first_obstacles[:, 1:].tolist()
@@ -232,11 +231,11 @@ class Tape:
         return bed.to_posts(adjoint[: bed.heights.size].reshape(bed.heights.shape)).ravel()
 
     def positions(self, index: int = 0) -> NDArray[np.float64]:
-        """Of the particles of a scene at the observed frames [m], shape [T, N, D]."""
+        """Positions of the particles of a scene at the observed frames [m], shape [T, N, D]."""
         return np.stack([self.observed[frame][0][self.particles(index)] for frame in self.frames]).astype(np.float64)
 
     def velocities(self, index: int = 0) -> NDArray[np.float64]:
-        """Of the particles of a scene at the observed frames [m/s], shape [T, N, D]."""
+        """Velocities of the particles of a scene at the observed frames [m/s], shape [T, N, D]."""
         return np.stack([self.observed[frame][1][self.particles(index)] for frame in self.frames]).astype(np.float64)
 
     def impulses(self, index: int = 0) -> NDArray[np.float64]:
@@ -244,13 +243,13 @@ class Tape:
         return self.batch.impulses(index)[self.frames]
 
     def reverse(self, flow_adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[dict[str, Array]]:
-        """Adjoints of what the run began with for each of any number of objectives; segments are replayed once for all.
+        """Adjoints of the initial numbers of the run for any number of objectives; segments are replayed once for all.
 
-        flow_adjoints: for each objective and scene. Of particles (`adjoints`, shape [blocks, Layout.width, lanes]),
-        settings of each scene (`settings`), faces (`face_adjoints`), holds of nodes (`hold_adjoints`) and the friction
-        of the bed of each scene (`terrain_adjoints`), g / xi of its solids (`drag_adjoints`), and the share of the
-        adjoints of each scene that were cut (`cut`).
-        Raises WorkFailed where a gradient grows without bound.
+        flow_adjoints: for each objective and scene. Returns those of particles (`adjoints`, shape [blocks,
+        Layout.width, lanes]), settings of each scene (`settings`), faces (`face_adjoints`), holds of nodes
+        (`hold_adjoints`) and the friction of the bed of each scene (`terrain_adjoints`), g / xi of its solids
+        (`drag_adjoints`), and the share of the adjoints of each scene that were cut (`cut`). Raises WorkFailed where a
+        gradient grows without bound.
         """
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes
@@ -281,7 +280,7 @@ class Tape:
         walk = adjoint_kernel(dataclasses.replace(layout, impulses=forced))
 
         def call(objective: dict[str, Array], first: int, last: int, direction: Pass) -> bool:
-            """Whether the call came to its end: else grids had no room, which they have now."""
+            """Whether the call finished; otherwise grids had too little room and were enlarged."""
             batch.arrivals = np.zeros(len(batch.workers), np.int32)
             walk(*arguments(STEP | ADJOINT, vars(batch) | shared | objective, lanes).values(), first, last, direction)
             grown = batch.grow_grid()
@@ -315,7 +314,7 @@ class Tape:
                 fraction = batch.scenes[index].step_fraction
                 raise WorkFailed(
                     f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints were "
-                    f"cut, of single particles that swing; try a step_fraction below {fraction:g}"
+                    f"cut, for single oscillating particles; try a step_fraction below {fraction:g}"
                 )
         for objective, share in zip(objectives, shares, strict=True):
             objective["cut"], objective["settings"] = share, np.zeros((len(batch.scenes), len(Setting)))
@@ -323,12 +322,12 @@ class Tape:
         return objectives
 
     def nodes(self) -> dict[str, Array]:
-        """What a reverse step keeps of the nodes, and their adjoints, by the names of the kernel's arrays."""
+        """The nodes that a reverse step keeps, and their adjoints, by the names of the kernel's arrays."""
         shape, real = self.batch.grid.shape, self.batch.state.dtype
         return {"kept": aligned(shape, real), "grid_adjoints": aligned(shape, real)}
 
     def cuts(self, per_scene: Sequence[FlowAdjoints]) -> Array:
-        """The square of the largest adjoint of a velocity, and how many were beyond it so far, shape [scenes, 2]."""
+        """The square of the largest admitted adjoint of a velocity, and how many exceeded it, shape [scenes, 2]."""
         limits = np.zeros((len(per_scene), 2))
         for index, adjoints in enumerate(per_scene):
             time = self.frames[-1] * self.batch.scenes[index].frame_dt
@@ -342,7 +341,7 @@ class Tape:
         return limits
 
     def add_adjoints(self, objective: dict[str, Array], per_scene: Sequence[FlowAdjoints], slot: int) -> None:
-        """Add to the adjoints of blocks and impulses those of what is observed at frame number `slot`."""
+        """Add the adjoints of the observations at frame number `slot` to those of blocks and impulses."""
         for index, observed in enumerate(per_scene):
             here = self.particles(index)
             for first, values in ((0, observed.positions), (self.features.state.velocity, observed.velocities)):

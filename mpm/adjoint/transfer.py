@@ -1,18 +1,18 @@
 """The reverse of the two transfers (`mpm.physics.transfer`).
 
-Particles take from the nodes n_i = (u_i, u_i - kappa v_i). With v', C', change' the adjoints of what they took,
+Particles gather n_i = (u_i, u_i - kappa v_i) from the nodes. With v', C', change' the adjoints of their sums,
 
     b_ip = (v' + (4 / dx^2) C' x_ip, change'),    n_i' = sum_p w_ip b_ip
     x_p' = sum_i dw_ip/dx_p (n_i . b_ip) - (4 / dx^2) C'^T sum_i w_ip u_i
 
-and give to the nodes g_ip = (m v + m C x_ip, m, -V0 (4 / dx^2) sigma x_ip). With N_i' the adjoints of the nodes
+They contribute g_ip = (m v + m C x_ip, m, -V0 (4 / dx^2) sigma x_ip) to the nodes. With N_i' the nodes' adjoints,
 
     Z = sum_i w_ip N_i',    Y_j = sum_i w_ip x_ip,j N_i',    g_ip = g_0 + sum_j g_j x_ip,j
     g_0' = Z,   g_j' = Y_j,    x_p' = sum_i dw_ip/dx_p (N_i' . g_ip) - sum_j (g_j . Z) e_j
 
-So the first is a sum at the nodes of what is linear in the node's position, as the step's own particles to grid; the
-second gathers at a particle, as its grid to particles; and both move the weights alike: with the sum over i of
-dw_ip/dx_p times the product of what lies at the node and what the particle gives it.
+So the first is a sum at the nodes of terms linear in the node's position, like the step's own particles-to-grid
+transfer; the second gathers at a particle, like grid to particles. In both, the weights' motion enters through the sum
+over i of dw_ip/dx_p times the product of the node's value and the particle's contribution.
 """
 
 import taichi as ti
@@ -30,7 +30,7 @@ from mpm.physics.volume_correction import held_affine, looseness
 
 @ti.func
 def prepare_weights(block: ti.template(), arrays: ti.template()):
-    """Leave in `scratch` the slopes of the weights of a block [1/m] and the weights times distances [m]."""
+    """Store in `scratch` the slopes of the weights of a block [1/m] and the weights times distances [m]."""
     layout, scratch = arrays.layout, block.scratch
     dx = arrays.settings[block.scene, Setting.CELL]
     per_dx = 1.0 / dx
@@ -46,9 +46,9 @@ def prepare_weights(block: ti.template(), arrays: ti.template()):
 
 @ti.func
 def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, varies: ti.template()):
-    """What a block has left for the nodes of the particle in `lane`: value (group 0) or slope along an axis.
+    """What a block has stored for the nodes of the particle in `lane`: value (group 0) or slope along an axis.
 
-    Unless `varies`, each node is given the same mass, side friction and distance but for the weight: without slopes.
+    Unless `varies`, mass, side friction and distance differ between nodes only by the weight: they have no slopes.
     """
     features = arrays.features
     first = ti.static(features.scratch.values + group * NODE)
@@ -68,8 +68,8 @@ def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, vari
 def transfer_reverse(block: ti.template(), scatters: ti.template(), arrays: ti.template()):
     """The reverse of one transfer, between a block and its nodes, and the sums that move its weights.
 
-    scatters: add the values and slopes that the block has left in `scratch` to the adjoints of the nodes, and leave the
-    sum of w_ip n_i of what lies at the nodes. Else leave Z, Y_j of each particle from the adjoints of the nodes.
+    scatters: add the values and slopes that the block has stored in `scratch` to the adjoints of the nodes, and store
+    the sum of w_ip n_i over the nodes. Otherwise store Z, Y_j of each particle from the adjoints of the nodes.
     """
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     size = ti.static(features.dimension)
@@ -123,7 +123,7 @@ def transfer_reverse(block: ti.template(), scatters: ti.template(), arrays: ti.t
 
 @ti.func
 def outer_weights(w: ti.template(), d: ti.template(), a: ti.template(), b: ti.template(), size: ti.template()):
-    """Of three nodes of a column: the weight by the other axes, then with that of each in `d` instead."""
+    """For three nodes of a column: the weight from the other axes, then the same with each axis's weight from `d`."""
     if ti.static(size == 2):
         return w[0][a], d[0][a]
     else:
@@ -132,7 +132,7 @@ def outer_weights(w: ti.template(), d: ti.template(), a: ti.template(), b: ti.te
 
 @ti.func
 def gather_moments(block: ti.template(), arrays: ti.template()):
-    """Leave sum_i w_ip n_i and sum_i w_ip x_ip n_i of what lies at the nodes, for each particle of a block."""
+    """Store sum_i w_ip n_i and sum_i w_ip x_ip n_i over the nodes, for each particle of a block."""
     lanes, deep, scratch = arrays.features.lanes, columns_deep(block.scene, arrays), block.scratch
     for lane in range(lanes):
         column, j = lowest_column(arrays, scratch, lane, block.table, deep)
@@ -145,7 +145,7 @@ def gather_moments(block: ti.template(), arrays: ti.template()):
 
 @ti.func
 def moments_of(block: ti.template(), first: ti.template(), count: ti.template(), scale, arrays: ti.template()):
-    """`scale` times sum_i w_ip x_ip n_i of `count` numbers of the nodes from `first` on: D of each number."""
+    """`scale` times sum_i w_ip x_ip n_i for `count` numbers of the nodes from `first` on: D values for each number."""
     size = ti.static(arrays.features.dimension)
     sums = block.scratch + arrays.layout.scratch.sums
     places = ti.static([(1 + k % size) * NODE + first + k // size for k in range(size * count)])
@@ -154,7 +154,7 @@ def moments_of(block: ti.template(), first: ti.template(), count: ti.template(),
 
 @ti.func
 def store_sum(value, group: ti.template(), scratch, lane, arrays: ti.template()):
-    """Leave a gathered node in the lane's `group` of sums."""
+    """Store a gathered node in the lane's `group` of sums."""
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     at = no_overflow(scratch * lanes + lane) + (layout.scratch.sums + group * NODE) * lanes
     for k in ti.static(range(features.node.size)):
@@ -163,7 +163,7 @@ def store_sum(value, group: ti.template(), scratch, lane, arrays: ti.template())
 
 @ti.func
 def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
-    """Leave the sum over the numbers of a node of each of the D `products`."""
+    """Store the sum over the numbers of a node for each of the D `products`."""
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     at = no_overflow(scratch * lanes + lane) + layout.scratch.forces * lanes
     for k in ti.static(range(features.dimension)):
@@ -176,9 +176,9 @@ def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
 @ti.func
 def affine_reverse(block: ti.template(), arrays: ti.template()):
     """Adjoints of the D x D slopes of the grid's velocity u and then of its change, and of kappa, from that of C after
-    the step; that of C before it is put in its place, and that of C_s^2 added.
+    the step; stores that of C before it, and adds that of C_s^2.
 
-    Only where a loose particle is held back, C is not the slope of u alone.
+    C differs from the slope of u only if a loose particle is held back.
     """
     features = arrays.features
     count = ti.static(features.dimension**2)

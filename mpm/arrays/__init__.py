@@ -1,1 +1,1 @@
-"""The memory of a batch: which arrays the kernels work on, and where in them a thing stands."""
+"""The memory of a batch: the arrays that the kernels work on, and the place of each quantity in them."""

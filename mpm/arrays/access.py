@@ -14,7 +14,7 @@ import taichi as ti
 
 from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset
 
-TINY = 1.0e-30  # keeps a quotient finite where its denominator is zero and its numerator is smaller still
+TINY = 1.0e-30  # keeps a quotient finite if its denominator is zero and its numerator is smaller still
 
 
 @ti.func
@@ -52,7 +52,7 @@ def dot(a: ti.template(), b: ti.template()):
 
 @ti.func
 def over_lanes(operation: ti.template(), a: ti.template(), count: ti.template()):
-    """What `minimum` or `maximum` makes of `count` lanes, a power of two: one half with the other until one is left."""
+    """`minimum` or `maximum` over `count` lanes, a power of two: combine the halves until one lane is left."""
     if ti.static(count == 1):
         return a
     elif ti.static(count == 2):
@@ -104,16 +104,16 @@ def put_lane_numbers(numbers: ti.template(), first, value, arrays: ti.template()
 
 @ti.func
 def no_overflow(index):
-    """An index below INDEX_LIMIT, masked for the compiler's sake: a constant added to it becomes part of an address.
+    """An index below INDEX_LIMIT, masked for the compiler, which can then fold an added constant into an address.
 
-    Otherwise it has to allow for an overflow of 32 bits at every node and every number of a particle.
+    Otherwise the compiler has to allow for a 32-bit overflow at every node and every number of a particle.
     """
     return index & (INDEX_LIMIT - 1)
 
 
 @ti.func
 def add(array: ti.template(), at, value, arrays: ti.template()):
-    """array[at] += value. Atomic on a GPU alone: on a CPU Taichi makes that a compare-and-swap loop."""
+    """array[at] += value. Atomic only on a GPU: on a CPU Taichi would make it a compare-and-swap loop."""
     if ti.static(arrays.features.processor.gpu):
         ti.atomic_add(array[at], value)
     else:
@@ -129,7 +129,7 @@ def box_cells(scene, arrays: ti.template()):
 
 @ti.func
 def columns_deep(scene, arrays: ti.template()):
-    """Columns of nodes from one to its neighbour along x: how many the box has along z, 1 in 2D."""
+    """Columns of nodes between neighbours along x: the number of columns along z, 1 in 2D."""
     deep = 1
     if ti.static(arrays.features.dimension == 3):
         deep = arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1
@@ -138,11 +138,11 @@ def columns_deep(scene, arrays: ti.template()):
 
 @ti.func
 def synchronise(thread, arrays: ti.template()):
-    """Wait until all threads of a shared scene have arrived; nothing where scenes are not shared.
+    """Wait until all threads of a shared scene have arrived; no effect if scenes are not shared.
 
-    Taichi's own barrier is the end of a call, whose third of a millisecond is a step of 10,000 particles; here it takes
-    a microsecond. All run at once, because Taichi has as many threads as that. Reading by adding zero keeps the
-    compiler from reading once.
+    Taichi's own barrier is the end of a call, which takes a third of a millisecond, as long as a step of 10,000
+    particles; this one takes a microsecond. All threads run at once, because Taichi has that many. Reading by adding
+    zero forces the compiler to read every time.
     """
     if ti.static(arrays.features.processor.shared):
         arrived = ti.atomic_add(arrays.arrivals[thread], 1) + 1

@@ -51,19 +51,19 @@ from mpm.solids.bed import bed_arrays
 from mpm.solids.obstacles import initial_contacts, near_walls, obstacles_of
 
 Array = NDArray[Any]
-PORTION = 2**18  # particles whose nearest faces are found together at the start: some 250 bytes each
+PORTION = 2**18  # particles whose nearest faces are found together at the start; about 250 bytes each
 TILE = 4  # cells along each side of the squares in plan by which particles in 3D are sorted
 
 
 class Batch:
-    """The state of several scenes and what is recorded of it.
+    """The state and the records of several scenes.
 
-    `workers` threads share one scene; with several scenes each has one. `record` says what is recorded and whether a
-    scene ends when its deposit has come to rest. `particles` are those of each scene at the start. The positions of one
-    scene can be kept in a `file`. Raises InputError for more particles times frames than can be counted.
+    `workers` threads share one scene; with several scenes each has one thread. `record` says what is recorded and
+    whether a scene ends when its deposit is at rest. `particles` are those of each scene at the start. The positions of
+    one scene can be kept in a `file`. Raises InputError for more particles times frames than can be counted.
 
-    The kernel itself records positions where every frame keeps them in memory, and nothing else; what is kept of few
-    frames, in a file or beside the positions is taken from the state between two calls of the kernel (`keep`).
+    The kernel itself records only positions, if every frame keeps them in memory. All else (few frames, a file, other
+    fields) is copied from the state between two calls of the kernel (`keep`).
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class Batch:
         self.state = aligned((block, features.state.size, lanes), real)
         self.order = np.zeros(block * lanes, np.int32)
         self.bases = np.zeros(column, np.int32)
-        # Zeros take memory where something is written: columns near the material, and the nodes in use.
+        # Zeros take memory only where they are written: columns near the material, and nodes in use.
         self.spans = np.zeros((1 if gpu else column, len(Span)), np.int32)
         self.make_grid()
         if gpu:
@@ -146,7 +146,7 @@ class Batch:
             self.fill(index)
 
     def make_record(self, positions: int, frames: int, impulses: int) -> None:
-        """What a run keeps besides the state, with room for so many positions, frames and impulses of all scenes."""
+        """Allocate the records of a run, with room for so many positions, frames and impulses of all scenes."""
         scenes, features, real = self.scenes, self.features, self.state.dtype
         counts = self.offsets[:, Offset.PARTICLES] * features.processor.gpu
         self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts)
@@ -158,9 +158,9 @@ class Batch:
         """How often each thread has waited for the others; one entry for each thread of a call."""
         self.computed = 0
         self.record = [self.empty_record(index) for index in range(len(scenes))]
-        """Of each scene what is kept of its particles by name, positions and fields, shape [T, N, ...] each."""
+        """For each scene the recorded positions and fields of its particles by name, shape [T, N, ...] each."""
         self.staged = np.zeros((len(scenes), max(1, *(len(scene.stages) for scene in scenes))), np.int32)
-        """The frame in which each stage of each scene began, 0 where it has not."""
+        """The frame in which each stage of each scene began, 0 if it has not begun."""
 
     def make_grid(self) -> None:
         """A grid with as many nodes as the workers have room for. Raises InputError for more than can be counted."""
@@ -175,7 +175,7 @@ class Batch:
         self.beside = np.zeros((cells + 1, len(Beside)), np.int32)
 
     def grow_grid(self) -> bool:
-        """Give the workers whose columns need more nodes than they have room for more room; whether there were any."""
+        """Enlarge the grids of workers whose columns need more nodes than fit; return whether there were any."""
         short = self.workers[:, Worker.USED] > self.workers[:, Worker.ROOM]
         if short.any():
             self.workers[short, Worker.ROOM] = (GROWTH * self.workers[short, Worker.USED]).astype(np.int32)
@@ -215,7 +215,7 @@ class Batch:
         self.covered = table(obstacles.covered, np.int32)
 
     def fill(self, index: int) -> None:
-        """The initial state of one scene, and frame 0 of its record where that is kept."""
+        """Set the initial state of one scene, and frame 0 of its record if that is kept."""
         scene, particles, features = self.scenes[index], self.particles[index], self.features
         state, count = self.state_of(index), len(particles.positions)
         # Lanes without a particle of their own mirror the last one.
@@ -278,7 +278,7 @@ class Batch:
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
 
     def empty_record(self, index: int) -> dict[str, NDArray[np.float32]]:
-        """Room for what is kept of the particles of one scene; of a frame where they go to a file."""
+        """Room for the records of the particles of one scene; for a single frame if they go to a file."""
         features, count = self.features, int(self.offsets[index, Offset.PARTICLES])
         kept = 1 if self.file is not None else len(self.kept(index))
         if self.in_kernel:
@@ -302,7 +302,7 @@ class Batch:
             self.file.append(positions=self.record[index]["positions"])
 
     def keep(self, first: int) -> None:
-        """Record what is kept of the frames from `first` on that have been computed, where the kernel does not."""
+        """Record the computed frames from `first` on that are kept and that the kernel does not record."""
         for index in range(0 if self.in_kernel else len(self.scenes)):
             last = int(self.offsets[index, Offset.REST]) or self.computed
             for slot, frame in enumerate(self.kept(index)):
@@ -310,7 +310,7 @@ class Batch:
                     self.store(index, slot)
 
     def sort(self, index: int) -> None:
-        """Put the particles of one scene in the order of their cells, in 3D square by square: close in memory."""
+        """Sort the particles of one scene by cell, in 3D tile by tile, so that neighbours are close in memory."""
         state, features, cell = self.state_of(index), self.features, self.scenes[index].domain.cell
         x, y, *z = (np.floor(state[:, axis].ravel() / cell).astype(np.int64) for axis in range(features.dimension))
         key = np.zeros_like(x)
@@ -339,7 +339,7 @@ class Batch:
 
     @property
     def arguments(self) -> dict[str, Array]:
-        """The arrays by name, in the order of the kernel's parameters; memory with two views comes twice."""
+        """The arrays by name, in the order of the kernel's parameters; memory with two views appears twice."""
         return arguments(STEP | RECORD | DEVICE, vars(self), self.features.lanes)
 
     def state_of(self, index: int) -> Array:
@@ -353,7 +353,7 @@ class Batch:
         return flat[:, : self.offsets[index, Offset.PARTICLES]]
 
     def order_of(self, index: int) -> NDArray[np.int32]:
-        """Which particle of one scene lies where in memory, shape [N]; a view."""
+        """The particle of one scene at each place in memory, shape [N]; a view."""
         first = self.offsets[index, Offset.BLOCK] * self.features.lanes
         return self.order[first : first + self.offsets[index, Offset.PARTICLES]]
 
@@ -370,15 +370,15 @@ class Batch:
         return np.asarray((self.offsets[:, Offset.FRAMES] <= frame) | (self.offsets[:, Offset.REST] > 0))
 
     def energies(self, index: int) -> NDArray[np.float64]:
-        """What `Energy` lists of one scene, in all of its frames, kept or not, shape [frames, len(Energy)]; a view."""
+        """`Energy` of one scene in all of its frames, kept or not, shape [frames, len(Energy)]; a view."""
         first = self.offsets[index, Offset.ENERGY]
         return self.energy[first : first + self.scenes[index].frames]
 
     def impulses(self, index: int) -> NDArray[np.float64]:
         """Momentum that solids have taken up to each frame [N s, per metre of width in 2D], shape [frames, solids, D].
 
-        The solids in the order of the scene, baffles first; where asked for then the sides of the box, in the order of
-        `datasets.scene.DOMAIN_SIDES`, and the barriers.
+        The solids come in the order of the scene, baffles first; then, if asked for, the sides of the box, in the order
+        of `datasets.scene.DOMAIN_SIDES`, and the barriers.
         """
         frames, first = self.scenes[index].frames, self.offsets[index, Offset.IMPULSE]
         solids = int(self.offsets[index, Offset.SOLIDS])

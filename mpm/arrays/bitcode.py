@@ -1,12 +1,12 @@
-"""Functions on vectors that Taichi cannot write: LLVM's assembly, which kernels call.
+"""Functions on vectors that Taichi cannot express, in LLVM assembly; kernels call them.
 
 Taichi 1.7.4 multiplies and adds vectors in two instructions where a processor has one, looks up the address of an array
-at every access, and takes a vector apart number by number. So the inner loops of the two transfers, most of a step, are
-these functions, for any processor that LLVM compiles for. `vectors.bc` holds them as LLVM's bitcode, which Taichi links
-into a kernel; after a change here `python -m mpm.arrays.bitcode` makes it anew, with `llvm-as` 14 or 15.
+at every access, and takes a vector apart number by number. Therefore the inner loops of the two transfers, most of a
+step, are these functions, for any processor that LLVM supports. `vectors.bc` holds them as LLVM bitcode, which Taichi
+links into a kernel; after a change here, rebuild it with `python -m mpm.arrays.bitcode` and `llvm-as` 14 or 15.
 
-A node is a vector of NODE numbers, a pair two nodes side by side. Addresses are integers: the compiler knows that they
-stay as they are. Within a function each variable is assigned once, as LLVM requires.
+A node is a vector of NODE numbers; a pair is two nodes side by side. Addresses are integers, which the compiler knows
+to be constant. Within a function each variable is assigned once, as LLVM requires.
 """
 
 import subprocess
@@ -22,19 +22,19 @@ from mpm.arrays.features import NODE, REGISTER
 
 FILE = Path(__file__).with_name("vectors.bc")
 LAYOUT = "e-m:e-p270:32:32-p271:32:32-p272:64:64-i64:64-f80:128-n8:16:32:64-S128"
-"""Of data in kernels on x86-64, so that LLVM has nothing to warn of."""
+"""Data layout of kernels on x86-64, so that LLVM does not warn."""
 SIZES = {"f32": ("float", 4), "f64": ("double", 8)}  # by precision: LLVM's name of a number, and its bytes
 PAIR, ROW = 2 * NODE, 4 * NODE  # numbers of a pair, and of a row of `to_rows`: four nodes
-WIDE, BLOCK = 64, 16  # bytes of a processor's widest vector, and of the blocks within which it moves single numbers
-REAL, ADDRESS = 1, 0  # a number and an address as kinds of parameters; that of a vector is its length
+WIDE, BLOCK = 64, 16  # bytes of the widest vector register, and of the blocks within which single numbers move
+REAL, ADDRESS = 1, 0  # kinds of parameters: a number, an address; for a vector its length
 
 
 @cache
 def call(name: str, precision: str) -> Callable[..., None]:
-    """A function of this file, for Taichi's functions: of local variables, the first of which it may change."""
+    """A function of this file for use in Taichi functions; it takes local variables and may change the first."""
 
     def linked(*values: Any) -> None:
-        # Imported here: who asks for help needs no compiler.
+        # Imported here: --help needs no compiler.
         from taichi._lib import core
         from taichi.lang import impl
         from taichi.lang.expr import make_expr_group
@@ -44,7 +44,7 @@ def call(name: str, precision: str) -> Callable[..., None]:
         insert = runtime.compiling_callable.ast_builder().insert_external_func_call
         insert(0, "", str(FILE), symbol, given, make_expr_group([]), place)
 
-    # Taichi warns of calls of what it does not know.
+    # Otherwise Taichi warns about calls of unknown functions.
     linked._is_wrapped_kernel = True  # type: ignore[attr-defined]
     return linked
 
@@ -64,7 +64,7 @@ class Function:
         return {ADDRESS: "i64", REAL: self.real}.get(length) or f"<{length} x {self.real}>"
 
     def add(self, instruction: str) -> str:
-        """Append an instruction; the variable with its result."""
+        """Append an instruction; return the variable with its result."""
         self.count += 1
         self.lines.append(f"  %v{self.count} = {instruction}")
         return f"%v{self.count}"
@@ -83,17 +83,17 @@ class Function:
         return self.add(f"inttoptr i64 {at} to {self.kind(length)}*")
 
     def load(self, place: str, length: int) -> str:
-        """The vector there."""
+        """Load the vector at a pointer."""
         kind = self.kind(length)
         return self.add(f"load {kind}, {kind}* {place}, align {min(length * self.bytes, WIDE)}")
 
     def store(self, place: str, value: str, length: int) -> None:
-        """Put a vector there."""
+        """Store a vector at a pointer."""
         kind = self.kind(length)
         self.lines.append(f"  store {kind} {value}, {kind}* {place}, align {min(length * self.bytes, WIDE)}")
 
     def choose(self, a: str, b: str, length: int, numbers: Iterable[int]) -> str:
-        """A vector of chosen numbers of two, those of the second counted on from those of the first."""
+        """A vector of chosen numbers of two vectors, numbered through from the first to the second."""
         kind, chosen = self.kind(length), [f"i32 {n}" for n in numbers]
         mask = f"<{len(chosen)} x i32> <{', '.join(chosen)}>"
         return self.add(f"shufflevector {kind} {a}, {kind} {b}, {mask}")
@@ -123,7 +123,7 @@ def add_scaled(precision: str, name: str = "add_scaled", length: int = NODE) -> 
 
 
 def add_scaled_pair(precision: str) -> Function:
-    """The same of pairs."""
+    """The same for pairs."""
     return add_scaled(precision, "add_scaled_pair", PAIR)
 
 
@@ -166,7 +166,7 @@ def add_to_column(precision: str) -> Function:
 
 
 def column_sums(precision: str) -> Function:
-    """The sum of three nodes from an address on, each twice as a pair, times a pair of weights."""
+    """The sum of three nodes from an address on, each duplicated to a pair, times a pair of weights."""
     weights = {f"s{n}": PAIR for n in range(3)}
     f = Function("column_sums", precision, total=PAIR, address=ADDRESS, **weights)
     address, total = f.read("address"), ""
@@ -179,7 +179,7 @@ def column_sums(precision: str) -> Function:
 
 
 def read_ahead(precision: str) -> Function:
-    """Have the cache line of an address brought, without waiting for it."""
+    """Prefetch the cache line of an address, without waiting for it."""
     f = Function("read_ahead", precision, address=ADDRESS)
     place = f.add(f"inttoptr i64 {f.read('address')} to i8*")
     f.lines.append(f"  call void @llvm.prefetch.p0i8(i8* {place}, i32 0, i32 3, i32 1)")
@@ -231,7 +231,7 @@ def transposed(f: Function, rows: list[str]) -> list[str]:
 
 
 def interleaved(f: Function, a: str, b: str, span: int, width: int) -> list[str]:
-    """Of two vectors in turn `span` numbers of each: of the first halves of their blocks, and of the second halves."""
+    """Interleave two vectors, `span` numbers in turn: the first halves of their blocks, and the second halves."""
     inner, vectors = BLOCK // f.bytes, []
     for half in range(2):
         chunks = range(half * inner // 2, (half + 1) * inner // 2, span)
@@ -256,7 +256,7 @@ def template() -> str:
 
 @cache
 def version() -> str:
-    """What the names of the functions end with: Taichi keeps kernels by these, not by the content of the file."""
+    """The suffix of the functions' names: Taichi caches kernels by these, not by the content of the file."""
     return f"{zlib.crc32(template().encode()):08x}"
 
 

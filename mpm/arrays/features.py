@@ -1,4 +1,4 @@
-"""What the scenes of a batch need: the kernels are compiled for exactly this, and find their numbers by it."""
+"""The features that the scenes of a batch need: the kernels are compiled for exactly these."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ from mpm.arrays.layout import Contact, Precision
 from mpm.laws import law_named, law_of
 from mpm.output.recording import ALL, Recording
 
-REGISTER = 128  # bytes of a vector of lanes: two registers of AVX-512, one computed while the other waits for a root
+REGISTER = 128  # bytes of a vector of lanes: two AVX-512 registers; one computes while the other waits for a root
 
 NODE = 8  # numbers in a node, momentum, mass and force: a short vector, a power of two long
 
 
 class Addresses:
-    """Where parts of given lengths begin that lie one after the other, by their names; `size`: where the last ends.
+    """Start of each of several consecutive parts of given lengths, by name; `size`: end of the last.
 
-    A part that the kernels do without has length 0.
+    A part that the kernels do not need has length 0.
     """
 
-    _data_oriented = True  # tells Taichi that a kernel may hold it as a Python object of compile time
+    _data_oriented = True  # tells Taichi that a kernel may hold it as a compile-time Python object
 
     def __init__(self, **lengths: int) -> None:
         vars(self).update(zip((*lengths, "size"), accumulate(lengths.values(), initial=0), strict=True))
@@ -48,7 +48,7 @@ class Recorded:
 
 @dataclass(frozen=True, kw_only=True)
 class Hardware:
-    """What computes."""
+    """The kind of processor."""
 
     gpu: bool = False  # a thread per particle and atomic sums; else a thread per scene or per part of it
     shared: bool = False  # one scene, on several threads
@@ -56,24 +56,24 @@ class Hardware:
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
-    """What the scenes of a batch need, and nothing else; `state`, `face`, `node` and `scratch` are addresses."""
+    """The features that the scenes of a batch need; `state`, `face`, `node` and `scratch` are addresses."""
 
     dimension: int
     precision: Precision
-    law_name: str = MOHR_COULOMB  # of strength: the name of one in `mpm.laws`
-    cohesive: bool = False  # strength without pressure: cohesion, and with it a tension cutoff
+    law_name: str = MOHR_COULOMB  # name of the law of strength, in `mpm.laws`
+    cohesive: bool = False  # strength at zero pressure: cohesion, and with it a tension cutoff
     dilates: bool = False
     softens: bool = False  # strength depends on the plastic strain, which is then part of the state
     inertial: bool = False  # friction grows with the inertial number (`mpm.physics.inertial`)
     heterogeneous: bool = False  # a scene has several materials, or particles of several volumes or frictions
     volume_correction: bool = False  # a particle carries the gap to its neighbours
     damped: bool = False
-    listed: bool = False  # solids have faces that are listed
+    listed: bool = False  # solids have listed faces
     terrain: bool = False  # a terrain is a smooth bed (`mpm.solids.terrain`)
-    contact: bool = False  # solids stand in the box: baffles, ground, obstacles
+    contact: bool = False  # there are solids in the box: baffles, ground, obstacles
     turbulent: bool = False  # solids brake with the square of the speed (`mpm.physics.contact`)
     channel: bool = False  # side walls of a scene in 2D brake it (`mpm.physics.channel`)
-    outflow: bool = False  # a side of the box lets particles out, or particles have not entered yet
+    outflow: bool = False  # a side of the box is open, or particles have not entered yet
     inflow: bool = False  # particles enter over time (`mpm.physics.inflow`)
     wet: bool = False  # water fills the pores of a material (`mpm.physics.water`)
     seeps: bool = False  # water exerts a given force on each particle (`mpm.initial.water`)
@@ -111,7 +111,7 @@ class Features:
 
     @property
     def contact_vectors(self) -> int:
-        """How many vectors describe the contact of a block: those of `Contact`, in whose last place n and q stand."""
+        """Number of vectors that describe the contact of a block: those of `Contact`, the last being n and q."""
         return len(Contact) + 2 * self.dimension - 1 if self.contact else 0
 
     @property
@@ -121,7 +121,7 @@ class Features:
 
     @property
     def columns(self) -> int:
-        """How many properties a particle of its own material carries: up to the last that the law reads."""
+        """Number of properties that a particle carries if materials differ: up to the last that the law reads."""
         return 1 + int(max(self.law.columns(self)))
 
     @property
@@ -144,13 +144,13 @@ class Features:
             affine=size**2,  # APIC's C, row by row
             stress=self.stresses,
             plastic_strain=int(self.strained),
-            gap=int(self.volume_correction),  # mean stress that what opened would have made [Pa]
+            gap=int(self.volume_correction),  # mean stress that the opening would have caused [Pa]
             contacts=self.contact_vectors,
-            present=1,  # 0 in lanes that only mirror a scene's last particle, and of what has left or not entered
+            present=1,  # 0 in lanes that mirror a scene's last particle, and for those that have left or not entered
             properties=self.columns if self.heterogeneous else 0,
-            remainder=size if self.compensated else 0,  # what rounding has kept from the position [m]
+            remainder=size if self.compensated else 0,  # rounding error of the position [m]
             before=size if self.recorded.until_rest else 0,  # the velocity at the end of the frame before
-            entry=(1 + size) * int(self.inflow),  # frames to wait, 0 of what has entered; the velocity then
+            entry=(1 + size) * int(self.inflow),  # frames to wait, 0 after entry; velocity at entry
             seepage=size * int(self.seeps),  # force of water per volume [N/m^3]
             pore_pressure=int(self.pores),  # [Pa]
             saturated=int(self.wet),  # 1 where water fills the pores, else 0
@@ -164,23 +164,23 @@ class Features:
         size = self.dimension
         return Addresses(
             corners=size**2,
-            normal=size * (1 + size + (3 if size == 3 else 0)),  # its own, those of its corners and, in 3D, edges
+            normal=size * (1 + size + (3 if size == 3 else 0)),  # of the face, its corners and, in 3D, its edges
             friction=size,  # at each corner [-]
             solid=1,  # its number
         )
 
     @cached_property
     def node(self) -> Addresses:
-        """Numbers of a node, of which there are NODE; the others stay zero."""
+        """The used numbers of a node, out of NODE; the others stay zero."""
         size, braked = self.dimension, int(self.channel)
-        # The change of a node's velocity stands in place of its force, which is done with.
-        # Last the sum of w m d / h (`mpm.physics.contact`).
+        # The change of a node's velocity replaces its force, which is no longer needed. Last the sum of w m d / h
+        # (`mpm.physics.contact`).
         dragged = int(self.turbulent)
         return Addresses(momentum=size, mass=1, change=0, force=size, side_friction=braked, distance=dragged)
 
     @property
     def not_given(self) -> list[int]:
-        """Numbers of value and slopes that no particle gives: what a node has not, slopes but of momentum and force."""
+        """Numbers of value and slopes that no particle contributes: absent ones, slopes but of momentum and force."""
         given = {k for k in range(2 * self.dimension + 1) if k != self.node.mass}
         return [k for k in range(4 * NODE) if (k % NODE not in given if k >= NODE else k >= self.node.size)]
 
@@ -192,10 +192,10 @@ class Features:
         return Addresses(
             weights=3 * size,  # of the three nodes along each axis,
             levers=3 * size,  # and these times their distances
-            values=4 * NODE,  # what a block gives: a node's value at the lowest one, and D slopes; then what it takes
+            values=4 * NODE,  # contribution of a block: value at the lowest node and D slopes; then its gathered sums
             rows=0 if self.processor.gpu else 4 * NODE,  # the same, of one particle after the other
             lowest=3 * size,  # each particle's lowest node, the grid's velocity at it and its change
-            density=(1 + size) * corrected,  # the grid's mass at each particle, its slopes
+            density=(1 + size) * corrected,  # the grid's mass at each particle, and its slopes
             gradient=size**2 * corrected,  # of the grid's velocity at each particle
             changes=size**2 * corrected,  # of its change
             origin=size * contact,  # the positions before a step
@@ -209,18 +209,18 @@ class Features:
 def features_of(
     scenes: Sequence[Scene], precision: Precision, *, record: Recording = ALL, shared: bool = False, gpu: bool = False
 ) -> Features:
-    """What has to be compiled for these scenes, all of one dimension."""
+    """The features to compile for these scenes, all of one dimension."""
     materials = [scene.material_of(mass) for scene in scenes for mass in scene.masses]
     law = law_of(materials)
     asked = any(scene.volume_correction for scene in scenes)
-    require(law.OPENS or not asked, "volume_correction", "false or none beside a law without gaps", "true")
+    require(law.OPENS or not asked, "volume_correction", "false or none with a law without gaps", "true")
     stages = [stage for scene in scenes for stage in scene.stages]
     inflow = any(mass.kind == INFLOW for scene in scenes for mass in scene.masses)
     seeps = any(scene.water is not None and scene.water.fixed for scene in scenes)
     wet = any(material.saturated for material in materials) and not seeps
     pool = any(scene.water is not None and scene.water.pool is not None for scene in scenes)
-    require(seeps or not pool, "water.pool", "none of a flow: --safety alone knows water above the ground", "one")
-    require(not (wet and gpu), "material.saturated", "false on a GPU, which knows no pore water yet", "true")
+    require(seeps or not pool, "water.pool", "none in a flow: only --safety supports water above the ground", "one")
+    require(not (wet and gpu), "material.saturated", "false on a GPU, which does not support pore water yet", "true")
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
@@ -246,8 +246,8 @@ def features_of(
 
 
 def drags_of(scene: Scene) -> list[float]:
-    """g / xi [1/m] of each solid of a scene, in the order of their numbers; 0 of those without `turbulence`, g alone
-    [m/s^2] of those whose xi varies (`drag_tables`).
+    """g / xi [1/m] of each solid of a scene, in the order of their numbers; 0 for those without `turbulence`, and g
+    alone [m/s^2] for those whose xi varies (`drag_tables`).
     """
     coefficients = [*(baffle.turbulence for baffle in scene.baffles), *(solid.turbulence for solid in scene.solids)]
     fixed = [1.0 if isinstance(xi, tuple) else xi for xi in coefficients]

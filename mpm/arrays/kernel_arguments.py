@@ -1,4 +1,4 @@
-"""The arrays that kernels take, each named here once: batch, kernels and adjoint have theirs from this table."""
+"""The arrays that kernels take, named once in this table for batch, kernels and adjoint."""
 
 import linecache
 import math
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from mpm.arrays.features import NODE, Features
 from mpm.arrays.layout import ALIGNMENT, Address
 
-Kind = tuple[str, int]  # of an array: its element and its rank
+Kind = tuple[str, int]  # element and rank of an array
 
 
 def named(**groups: str) -> dict[str, Kind]:
-    """Kinds by the names of arrays, from the names of each kind; a table has rank 2.
+    """Kind of each array by its name, from the names of each kind; a table has rank 2.
 
-    A block is a vector of lanes, a node a short one of `Features.node` numbers; a lane is one of the numbers of such
-    blocks: a second view of their memory.
+    A block is a vector of lanes, a node a short vector of `Features.node` numbers; a lane is a single number of such
+    blocks, in a second view of their memory.
     """
     kinds = {kind: (kind.removesuffix("_table"), 1 + kind.endswith("_table")) for kind in groups}
     return {name: kinds[kind] for kind, names in groups.items() for name in names.split()}
@@ -36,10 +36,10 @@ STEP = named(
     f64_table="settling",
     i64="addresses",
 )
-"""What a step reads and writes, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""
+"""The arrays of a step, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""
 RECORD = named(i32="order", f32="positions", f64="energy", f64_table="recorded_impulse")
-"""What the end of a frame reads and writes besides."""
-DEVICE = named(i32="owner", real_table="step_control")  # what only a GPU reads and writes
+"""Further arrays for the end of a frame."""
+DEVICE = named(i32="owner", real_table="step_control")  # only for a GPU
 ADJOINT = named(
     block="adjoints history",
     lane="adjoint_lanes history_lanes",
@@ -49,15 +49,15 @@ ADJOINT = named(
     i32="step_counts",
     f64_table="face_adjoints hold_adjoints terrain_adjoints drag_adjoints sums",
 )
-"""What the adjoint reads and writes besides `STEP`; `mpm.adjoint.tape` makes them."""
+"""Arrays of the adjoint besides `STEP`; `mpm.adjoint.tape` makes them."""
 VIEWS = {"lanes": "state", "scratch_lanes": "scratch", "impulse_lanes": "impulse", "rows": "scratch"}
 VIEWS |= {"adjoint_lanes": "adjoints", "history_lanes": "history"}
-"""Of whose memory an array is a view."""
+"""Arrays that are views, with the owner of their memory."""
 
 
 @ti.data_oriented
 class Arrays:
-    """The arrays of a kernel by name, as its functions pass them on, with what it was compiled for."""
+    """The arrays of a kernel by name, as its functions pass them on, with its compile-time constants."""
 
     def __init__(self, **named: Any) -> None:
         vars(self).update(named)
@@ -93,8 +93,8 @@ def kernel_of(
     """A kernel with the parameters `arrays`, `first`, `last` and `phase`, which it hands to the Taichi function `body`.
 
     body: of an `Arrays` that holds `features` and `constants` too, `first`, `last` and `phase`.
-    optimised: whether Taichi simplifies it before LLVM does, which takes half of the compilation. The results are the
-    same to the bit. What it gains is that loops do not look up the addresses of arrays: a tenth of a dry step.
+    optimised: whether Taichi simplifies the kernel before LLVM does, which takes half of the compilation. The results
+    are the same to the bit. The gain is a tenth of a dry step: loops do not look up the addresses of arrays.
     """
     real = ti.f32 if features.precision == "f32" else ti.f64
     block = real if features.processor.gpu else ti.types.vector(features.lanes, real)

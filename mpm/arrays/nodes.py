@@ -1,7 +1,7 @@
-"""Sums over the nodes of a particle: in few instructions on a CPU (`mpm.arrays.bitcode`), in plain ones on a GPU.
+"""Sums over the nodes of a particle: with few instructions on a CPU (`mpm.arrays.bitcode`), in plain code on a GPU.
 
-Weights are numbers, values the vectors of nodes. The sums over a column come as a pair of nodes: by the weights of its
-three nodes, and by other three.
+Weights are numbers, values are vectors of nodes. The sums over a column form a pair of nodes: one with the weights of
+its three nodes, one with three other weights.
 """
 
 import taichi as ti
@@ -19,13 +19,13 @@ def zero_node():
 
 @ti.func
 def zero_pair():
-    """Those of two nodes, side by side."""
+    """The zeros of two nodes, side by side."""
     return ti.Vector([0.0 for _ in ti.static(range(2 * NODE))])
 
 
 @ti.func
 def node_address(grid, node, arrays: ti.template()):
-    """Where a node lies in memory, where the first of them lies at `grid`."""
+    """Address of a node in memory; grid: address of the first node."""
     return grid + ti.cast(node, ti.i64) * ti.static(NODE * SIZES[arrays.features.precision][1])
 
 
@@ -38,7 +38,7 @@ def add_to_column(grid, node, w: ti.template(), value, step, arrays: ti.template
 
 @ti.func
 def column_sums(grid, node, weights: ti.template(), arrays: ti.template()):
-    """Of `node` of the grid, at that address, and the two above it the sums by three pairs of weights (`pair_of`)."""
+    """Sums over `node` of the grid, at that address, and the two above it, with three pairs of weights (`pair_of`)."""
     total = zero_pair()
     if ti.static(arrays.features.processor.gpu):
         for c in ti.static(range(3)):
@@ -65,7 +65,7 @@ def pair_of(one, other, arrays: ti.template()):
 
 @ti.func
 def fused(scale, value, total, name: ti.template(), arrays: ti.template()):
-    """scale value + total, where `name` is "add_scaled" of nodes, "add_scaled_pair" of pairs."""
+    """scale value + total; `name` is "add_scaled" for nodes, "add_scaled_pair" for pairs."""
     result = total
     if ti.static(arrays.features.processor.gpu):
         result = scale * value + total
@@ -102,7 +102,7 @@ def nodes_of(pair, arrays: ti.template()):
 
 @ti.func
 def turn(name: ti.template(), source, target, arrays: ti.template()):
-    """Of a block's vectors of `scratch` from `source` on make rows from `target` on ("to_rows"), or the reverse."""
+    """Turn a block's vectors of `scratch` from `source` on into rows from `target` on ("to_rows"), or the reverse."""
     features = arrays.features
     size = ti.static(features.lanes * SIZES[features.precision][1])
     first, start = arrays.addresses[Address.SCRATCH], arrays.addresses[Address.SCRATCH]
@@ -113,9 +113,9 @@ def turn(name: ti.template(), source, target, arrays: ti.template()):
 
 @ti.func
 def read_ahead(state, block, lane, arrays: ti.template()):
-    """Have a lane's share of the state of a block brought into the cache, where the first block lies at `state`.
+    """Prefetch a lane's share of the state of a block into the cache; state: address of the first block.
 
-    A processor computes on while it waits for a few lines, not while it waits for all of a block's at once.
+    A processor continues to compute while it waits for a few lines, but not for all lines of a block at once.
     """
     features = arrays.features
     size = ti.static(features.state.size * REGISTER)

@@ -1,11 +1,11 @@
 """The lines that describe scenes and particles to the kernels: settings, material properties, and steps in a frame.
 
-The elastic waves of the stiffest material set the time step, or the speed of the flow:
+The elastic waves of the stiffest material or the speed of the flow set the time step:
 
     dt = min( f dx / c,  s dx / (c + v) ),    f: `step_fraction`,  s: `STABILITY`
 
-with the wave speed c and the largest speed v of a particle at the start of a frame. The flow takes over where it is
-faster than (s / f - 1) c, 1.5 c as it comes: a stiffer material then shortens the step by less than it would elsewhere.
+with the wave speed c and the largest speed v of a particle at the start of a frame. The flow sets the step where it is
+faster than (s / f - 1) c, by default 1.5 c: there a stiffer material shortens the step less than elsewhere.
 """
 
 import math
@@ -30,23 +30,23 @@ from mpm.output.recording import REST_ENERGY
 
 Array = NDArray[Any]
 
-GAP_RATE = 4.0  # at which gaps follow the density, times sqrt(cell / gravity) [-] (`mpm.physics.volume_correction`)
-LEAST_TENSION = 0.1  # tension limit over the weight of a cell, up to which open material counts as loose [-]
-IN_FLIGHT = 2.0e-8  # volume strain that opens a body in flight: twice what counts as none [-]
+GAP_RATE = 4.0  # rate at which gaps follow the density, times sqrt(cell / g) [-] (`mpm.physics.volume_correction`)
+LEAST_TENSION = 0.1  # tension limit over the weight of a cell up to which open material counts as loose [-]
+IN_FLIGHT = 2.0e-8  # initial gap of a body in flight: twice the strain that counts as none [-]
 GAP_CUTOFF = 1.7  # cells from a wall or a solid within which it hides mass from a particle
 CONTACT_WIDTH = 1.0  # width h of the contact with solids [cells] (`mpm.physics.contact`)
-STABILITY = 1.0  # largest (wave speed + particle speed) dt / dx: measured clean up to 1.1 in 2D and 1.2 in 3D
-DRY_GRIP = 2.0  # Coulomb coefficient beyond which no dry sand can tell a surface's friction
-ADHESION = 1.0  # what cohesion adds to it, over the weight of a cell
+STABILITY = 1.0  # largest (wave speed + particle speed) dt / dx: measured stable up to 1.1 in 2D and 1.2 in 3D
+DRY_GRIP = 2.0  # Coulomb coefficient above which a surface's friction makes no difference to dry sand
+ADHESION = 1.0  # increase of that coefficient by cohesion over the weight of a cell [-]
 
 
 def roughest(scene: Scene) -> float:
     """Largest Coulomb coefficient [-] that surfaces of a scene have.
 
-    Sand without cohesion bears a shear stress of at most tan(phi) times the pressure on any plane, and slides within
-    itself beside a rougher surface. A larger coefficient would make of the pressure that rounding and jitter leave in
-    sand which falls beside a rough wall a hold on it. Cohesion c is borne without pressure: where it is large against
-    the weight rho g dx of a cell, nothing slides along a rough surface.
+    Cohesionless sand bears a shear stress of at most tan(phi) times the pressure on any plane, and slides within itself
+    beside a rougher surface. With a larger coefficient, the small pressure that rounding and jitter leave in sand
+    falling beside a rough wall would hold the sand. Cohesion c needs no pressure: if it is large against the weight
+    rho g dx of a cell, nothing slides along a rough surface.
     """
     materials = [scene.material_of(mass) for mass in scene.masses]
     steepest = max(max(math.radians(material.phi_deg), math.asin(material.sin_phi_limit)) for material in materials)
@@ -63,7 +63,7 @@ def roughest(scene: Scene) -> float:
 
 
 def search_distance(scene: Scene) -> float:
-    """Distance from solids [m] up to which a particle's is computed: the contact's width, or the cut-off of gaps."""
+    """Distance [m] up to which a particle's distance from solids is computed: contact width, or cut-off of gaps."""
     return scene.domain.cell * (max(CONTACT_WIDTH, GAP_CUTOFF) if remembers_gaps(scene) else CONTACT_WIDTH)
 
 
@@ -104,8 +104,8 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
 
 
 def drag_tables(scenes: Sequence[Scene], real: np.dtype[Any]) -> tuple[Array, Array, Array]:
-    """`drags_of` of the solids of each scene [scenes, S]; where the posts of each begin whose xi varies, else 0, of the
-    same shape; of these x and posts per length, z and posts per length, their numbers and 1 / xi.
+    """`drags_of` the solids of each scene [scenes, S]; the start of the posts of each solid whose xi varies, else 0, of
+    the same shape; for these solids x and posts per length, z and posts per length, their numbers and 1 / xi.
     """
     drags = [drags_of(scene) for scene in scenes]
     table = np.zeros((len(scenes), max(1, *map(len, drags))), real)
@@ -171,8 +171,8 @@ def properties_at(material: Material, depth: Array, friction_deg: Array | None =
 
 
 def initial_gaps(scene: Scene, particles: Particles) -> Array:
-    """K e [Pa] of particles at the start, shape [N]: what is in flight is open, if hardly, so that its gap follows the
-    grid and it lands before it bears. Else the nodes of a floor would hold it up to a cell above.
+    """K e [Pa] of particles at the start, shape [N]. A body in flight starts with a tiny gap, which follows the grid:
+    without it, the nodes of a floor would carry the body up to a cell above the floor.
     """
     if not remembers_gaps(scene):
         return np.zeros(len(particles.positions))

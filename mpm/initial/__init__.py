@@ -1,1 +1,1 @@
-"""The state in which masses begin: initial stress, masses held behind barriers."""
+"""The initial state of masses: initial stress, masses held behind barriers."""

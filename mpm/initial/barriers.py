@@ -1,9 +1,9 @@
-"""Where the barriers of a retained mass stand: the nodes of the grid whose velocity they fix.
+"""The barriers of a retained mass: the nodes of the grid whose velocity they fix.
 
-A barrier is a smooth vertical wall at a lateral face of a mass: the nodes from the face to `BEYOND` cells outside of it
-have no velocity across it. These are all nodes beyond the face in the support of the mass's own particles, so none of
-it passes. A face that lies on a wall of the box needs no barrier. Where the mass has a gate all of its barriers rise.
-What is behind the section of an inflow moves with it (`mpm.physics.inflow`).
+A barrier is a smooth vertical wall at a lateral face of a mass: the nodes from the face to `BEYOND` cells outside have
+no velocity across it. These are all nodes beyond the face in the support of the mass's own particles, so none of it
+passes. A face on a wall of the box needs no barrier. If the mass has a gate, all of its barriers rise. Nodes behind the
+section of an inflow move with it (`mpm.physics.inflow`).
 """
 
 import math
@@ -20,13 +20,13 @@ from mpm.arrays.layout import PADDING, Barrier, Inflow, Offset, Retained, Settli
 from mpm.physics.barriers import ENERGY, FORCE
 from mpm.physics.inflow import NEVER
 
-BEYOND = 2  # cells beyond a face in which nodes are held: the support of a quadratic B-spline is one and a half
+BEYOND = 2  # cells beyond a face with held nodes: the support of a quadratic B-spline is one and a half
 
 Range = NDArray[np.int32]  # indices of nodes, [low, high) per axis, shape [2, D]
 
 
 def barriers(scene: Scene, mass: Mass) -> list[tuple[int, Range]]:
-    """Axis across which it stands, and nodes that it holds, of a barrier at each lateral face of `mass` in the box."""
+    """For a barrier at each lateral face of `mass` in the box: the axis across it, and the nodes that it holds."""
     standing = []
     lowest = [floor_node(scene, length) - BEYOND for length in mass.lower]
     highest = [ceiling_node(scene, a + b) + BEYOND + 1 for a, b in zip(mass.lower, mass.size, strict=True)]
@@ -71,7 +71,7 @@ def ceiling_node(scene: Scene, length: float) -> int:
 def held_tables(
     scenes: Sequence[Scene], particles: Sequence[Particles], offsets: NDArray[np.int32], real: np.dtype[Any]
 ) -> list[NDArray[Any]]:
-    """`barriers`, `retained`, `settling` and `inflows` of some scenes; where each has its own is put into `offsets`."""
+    """`barriers`, `retained`, `settling` and `inflows` of some scenes; puts the places of each scene into `offsets`."""
     tables: tuple[list[Any], ...] = [], [], [], []
     for scene, its, offset in zip(scenes, particles, offsets, strict=True):
         offset[Offset.BARRIER], offset[Offset.RETAINED], _, offset[Offset.INFLOW] = map(len, tables)
@@ -92,7 +92,7 @@ def barrier_tables(
 ) -> tuple[list[list[int]], list[list[int]], list[list[float]]]:
     """Lines of `barriers`, `retained` and `settling`, in the order of `Barrier`, `Retained` and `Settling`.
 
-    One of the latter two for each retained mass of `scene`, the first of which is line `first`.
+    The latter two have one line for each retained mass of `scene`, starting with line `first`.
     """
     held: list[list[int]] = []
     retained: list[list[int]] = []
@@ -112,7 +112,7 @@ def barrier_tables(
         retained.append([int(members[0]), int(members[-1]) + 1, release, 0, 0, 0, top])
         material, height = scene.material_of(mass), mass.size[1]
         weight, speed = material.density * float(np.prod(mass.size)), scene.gravity * height / material.wave_speed
-        # Without a gate the barriers are gone at once.
+        # Without a gate the barriers disappear at once.
         speed_and_time = (0.0, 0.0) if mass.gate is None else (mass.gate.speed, mass.gate.time_constant)
         values = {
             Settling.RATE: np.pi * material.wave_speed / height,
@@ -128,7 +128,7 @@ def barrier_tables(
 
 
 def inflow_rows(scene: Scene, frames: int) -> list[list[float]]:
-    """Lines of `inflows`, each with the speeds of so many frames: their means, of the time in which there is inflow."""
+    """Lines of `inflows`, each with the mean speed in each of so many frames, over the time with inflow."""
     lines, edges, cell = [], scene.frame_dt * np.arange(frames + 1), scene.domain.cell
     for mass in scene.masses:
         flow = filling(scene, mass).inflow if mass.kind == INFLOW else None

@@ -24,26 +24,26 @@ from mpm.solids.obstacles import contact_delta, covered_at, from_wall
 Floats = NDArray[np.float64]
 Operator = Callable[[Floats], Floats]
 
-ITERATIONS = 100  # solutions for an unbalanced force at most
-PATIENCE, PROGRESS = 10, 0.9  # how many in a row may leave more than this part of the least unbalanced force so far
-ROUNDING = 1.0e-9  # change of stress by the yield surface, over the largest stress, that does not count
+ITERATIONS = 100  # most solutions for an unbalanced force
+PATIENCE, PROGRESS = 10, 0.9  # how many in a row may leave more than this share of the least unbalanced force so far
+ROUNDING = 1.0e-9  # change of stress by the yield surface, over the largest stress, that counts as none
 BALANCED = 1.0e-12  # unbalanced nodal forces, summed, over the weight, at which iterations end
 UNBALANCED = 1.0e-3
-"""The same beyond which a warning says that there is no equilibrium.
+"""The same, above which a warning says that there is no equilibrium.
 
-Less than that is left where a cohesionless surface or its edge hangs on single particles that jitter has put aside:
-there is no admissible stress for those nodes, and they alone move, by tenths of a millimetre a second.
+Less is left where a cohesionless surface or its edge rests on single particles displaced by jitter: for those nodes
+there is no admissible stress, and only they move, by tenths of a millimetre per second.
 """
-INSIDE = 0.9  # of the deviator at yield: how far inside a stress that violated yield is put back
-SOFTENED, SOFTEST = 0.1, 1.0e-3  # factor on theta of a particle that yields, and its least value
-ACCURACY = 1.0e-2  # relative residual of a solution; what is left belongs to the next one
+INSIDE = 0.9  # share of the deviator at yield to which a stress that violated yield is reduced
+SOFTENED, SOFTEST = 0.1, 1.0e-3  # factor on theta of a yielding particle, and its least value
+ACCURACY = 1.0e-2  # relative residual of a solution; the next one takes the rest
 INERTIA = 0.01
-"""Of the stiffness of a body's slowest mode, per mass, where it touches solids: nodes that lone particles at its edge
-cannot hold fall there, in place of loading these particles without bound."""
-UPWARD = 0.1  # vertical part of the normal of a solid that carries
-WEAK = 0.4  # of the largest nodal mass: lighter nodes are solved for directly
+"""Share of the stiffness of a body's slowest mode, per mass, where it touches solids: there, nodes that single
+particles at its edge cannot hold fall, instead of loading these particles without bound."""
+UPWARD = 0.1  # least vertical component of the normal of a solid that carries load
+WEAK = 0.4  # share of the largest nodal mass: lighter nodes are solved for directly
 SHIFT = 1.0e-9  # on the diagonal of the scaled block that is factorised: nodes of a single particle make it singular
-EXTRA_STEPS = 60  # steps of conjugate gradients after which the block is factorised anew
+EXTRA_STEPS = 60  # steps of conjugate gradients after which the block is factorised again
 MOST_STEPS = 600
 SETTLING = {2: 20, 3: 5}  # solutions for layers on a slope, by dimension
 
@@ -58,7 +58,7 @@ class Equilibrium:
         self.lame, self.shear = self.properties[:, Property.LAME], self.properties[:, Property.SHEAR]
         self.limit = self.law.limit(self.properties)
         weights, self.slopes, self.nodes = gradient_matrices(scene, positions[chosen])
-        # By columns: SciPy multiplies so more than twice as fast as by rows.
+        # By columns, with which SciPy multiplies more than twice as fast as by rows.
         self.slopes_t = self.slopes.T
         self.weights, self.mass = weights, np.asarray(weights.T @ (self.volume * density))
         self.weight = float(self.mass.sum() * np.linalg.norm(scene.gravity_vector))
@@ -71,7 +71,7 @@ class Equilibrium:
         self.theta = np.ones(len(chosen))
         height = scene_height(scene) + scene.domain.cell
         slowest = np.pi / (2.0 * height) * max(material.wave_speed for material in particles.materials)
-        # A body that nothing holds along the floor slides there as a whole: K alone is singular.
+        # A body that nothing holds along the floor slides as a whole: K alone is singular.
         touches = len(self.contact.touching) > 0 or (scene.slope_deg != 0.0 and self.friction == 0.0)
         self.loose_inertia = INERTIA * slowest**2 * self.mass[:, None]
         self.inertia = self.loose_inertia if touches else np.zeros((len(self.mass), 1))
@@ -79,8 +79,8 @@ class Equilibrium:
         self.slip, self.slid = np.zeros((2, *self.nodes.shape))
 
     def carry(self, scene: Scene, positions: Floats, pressure: Floats, slope: Floats) -> None:
-        """Let water with the pore `pressure` [Pa], shape [N], and its `slope` in space [Pa/m], [N, D], bear its part at
-        the `positions` [m], [N, D]: stresses are then those of the grains. `Water.fixed` exerts that slope alone.
+        """Let water with the pore `pressure` [Pa], shape [N], and its `slope` in space [Pa/m], [N, D], carry its part
+        at the `positions` [m], [N, D]: stresses are then effective. `Water.fixed` exerts only that slope.
         """
         if scene.water is not None and scene.water.fixed:
             self.gravity = self.gravity - self.weights.T @ (self.volume[:, None] * slope)
@@ -104,8 +104,8 @@ class Equilibrium:
                 self.gravity[:, axis] += self.weights.T @ force - levers.T @ (inwards * away * force)
 
     def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
-        """Find which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -,
-        and barriers hold, [n, D]; and which nodes a rough floor holds altogether, [n].
+        """Find which components of nodes are free, [n, D]; where walls of the box push, 1 towards + and -1 towards -,
+        and where barriers hold, [n, D]; and which nodes a rough floor holds completely, [n].
         """
         self.walls = walls = np.zeros(self.nodes.shape, np.int8)
         self.behind_barriers = np.zeros(self.nodes.shape, bool)
@@ -121,7 +121,7 @@ class Equilibrium:
             if clings(body) and self.friction > 0.0:
                 self.rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
             if body.k0 is not None and (body.release is not None or not clings(body)):
-                # Without a release no barrier stands there in the run: where a solid does, it takes the thrust.
+                # Without a release there is no barrier in the run: a solid there takes the thrust.
                 pressed = self.contact.pressed() if body.release is None else np.zeros(self.nodes.shape, bool)
                 for axis, (low, high) in barriers(scene, body):
                     inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
@@ -145,7 +145,7 @@ class Equilibrium:
             require(clings(body) or body.k0 is None, f"masses[{number}].k0", expected, body.k0)
 
     def solution(self, stress: Floats) -> Floats:
-        """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3], or the nearest to one."""
+        """The stress in equilibrium from the guess `stress`, [N, 3, 3], or the nearest to equilibrium."""
         precondition = None
         best, smallest, patience = stress, np.inf, PATIENCE
         tractions, state = self.contact.traction, (self.free, self.slip)
@@ -180,16 +180,16 @@ class Equilibrium:
         return best
 
     def settled(self, stress: Floats, traction: Floats) -> Floats:
-        """`stress` [Pa], [N, 3, 3], of layers on a slope, after its grains have taken what it leaves unbalanced.
+        """`stress` [Pa], [N, 3, 3], of layers on a slope, after the grains have taken its unbalanced forces.
 
-        traction: shear traction of the ground [Pa], [M, D]. What accelerates the layers as a whole stays. The floor of
-        the box rubs on its nodes with the share of their load that `stress` has there.
+        traction: shear traction of the ground [Pa], [M, D]. The force that accelerates the layers as a whole stays. The
+        friction of the floor of the box on its nodes is the share of their load that `stress` has there.
         """
         floor, across = self.walls[:, 1] == 1, self.weights.T @ (self.volume[:, None] * stress[:, :, 1])
         share = np.divide(across, -across[:, [1]], out=np.zeros_like(across), where=across[:, [1]] < 0.0)
         self.friction, self.slip[:, self.level] = 1.0, np.where(floor[:, None], share[:, self.level], 0.0)
         self.inertia = self.loose_inertia / INERTIA
-        # That inertia leaves little for a factorisation to do, whose memory a wide layer could not pay.
+        # With that inertia a factorisation gains little, and a wide layer would need too much memory for it.
         self.direct = self.direct[:0]
         precondition = self.preconditioner()
         for _ in range(SETTLING[self.dimension]):
@@ -208,8 +208,8 @@ class Equilibrium:
     def slips(self, stress: Floats, tractions: Floats, displacements: Floats) -> bool:
         """Free the nodes that a rough floor would have to hold by more than its friction; whether any node changes.
 
-        Friction acts against the force on them, `slip`, unit vectors, [n, D], until the displacements of iterations
-        [m], [n, D], bring them back: then the floor holds them again.
+        Friction acts against the force on these nodes (`slip`: unit vectors, [n, D]) until the displacements of the
+        iterations [m], [n, D], bring them back: then the floor holds them again.
         """
         force = self.unbalanced(stress, tractions)
         along = np.where(self.free, 0.0, force)
@@ -222,7 +222,7 @@ class Equilibrium:
         self.slid[:, self.level] += np.where(slid[:, None], displacements[:, self.level], 0.0)
         back = (self.slid * self.slip).sum(axis=1) < 0.0
         self.slip[back] = self.slid[back] = 0.0
-        # Walls beside the floor hold as before.
+        # Walls beside the floor still hold.
         movable = ~((self.walls != 0) | self.behind_barriers)[:, self.level]
         self.free[:, self.level] = np.where(movable & new[:, None], True, self.free[:, self.level] & ~back[:, None])
         if new.any():
@@ -230,19 +230,19 @@ class Equilibrium:
         return bool(new.any() or back.any())
 
     def warn(self, stress: Floats) -> None:
-        """Say how much of the weight a solution leaves unbalanced, where that is more than single particles.
+        """Warn of the share of the weight that a solution leaves unbalanced, if that is more than single particles.
 
-        It counts unbalanced nodal forces and what no wall takes: pull, and shear beyond friction.
+        It counts unbalanced nodal forces and forces that no wall takes: tension, and shear beyond friction.
         """
         force = self.unbalanced(stress, self.contact.traction)
         loose = np.abs(force[self.free]).sum()
         push = -force * self.walls
         pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
-        # Where walls or barriers hold a direction, they take what is along it.
+        # Walls or barriers take the force along a direction that they hold.
         along = np.where(self.free | (self.walls != 0) | self.behind_barriers, 0.0, force)[:, self.level]
         shear = np.linalg.norm(along, axis=1)
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
-        # Oblique faces hold nodes altogether; along all faces solids bear no more than friction, in the sum: single
+        # Oblique faces hold nodes completely; along all faces solids bear no more than friction, in the sum: single
         # nodes pull.
         borne = np.where(self.in_solids & ~self.held, force, 0.0)
         across = (borne * self.contact.normals).sum(axis=1)
@@ -266,7 +266,7 @@ class Equilibrium:
         return self.nodal(np.moveaxis(stress[:, : self.dimension, : self.dimension], 2, 0))
 
     def nodal(self, stress: Floats) -> Floats:
-        """The same, of columns of the stress one after the other, [D, N, D]."""
+        """The same, for columns of the stress one after the other, [D, N, D]."""
         flux = self.volume[:, None] * stress
         return np.asarray(self.slopes_t @ flux.reshape(-1, self.dimension))
 
@@ -279,9 +279,9 @@ class Equilibrium:
         return change
 
     def response(self, displacements: Floats) -> tuple[Floats, Floats]:
-        """The same in the plane or in space, its columns one after the other, [D, N, D]; and theta lambda tr(C), [N].
+        """The same in D dimensions, its columns one after the other, [D, N, D]; and theta lambda tr(C), [N].
 
-        It is symmetric: that columns change places with rows where they are copied does not matter.
+        It is symmetric: it does not matter that copying exchanges rows and columns.
         """
         gradient = (self.slopes @ displacements).reshape(self.dimension, -1, self.dimension)
         added = self.contact.gradient(displacements)[:, : self.dimension, : self.dimension]
@@ -301,7 +301,7 @@ class Equilibrium:
         return np.where(self.free, force + self.inertia * displacements, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
-        """`stress` cut at the tension limit, then scaled to its mean till its law admits it, there by `inside` more."""
+        """`stress` cut at the tension limit, then scaled to its mean until its law admits it, and by `inside` more."""
         principal = np.linalg.eigvalsh(stress)
         beyond, stress = principal[:, 2] > self.limit, stress.copy()
         principal = np.minimum(principal, self.limit[:, None])

@@ -22,13 +22,13 @@ from mpm.solids.obstacles import bed_holds_at, holds_at, initial_contacts
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-HELD, HALF = 1.0 - 1.0e-9, 0.5 - 1.0e-9  # shares from which on solids hold a node whole, and by half
+HELD, HALF = 1.0 - 1.0e-9, 0.5 - 1.0e-9  # shares from which solids hold a node completely, and by half
 
 
 def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, Integers]:
-    """Weights w_ip, shape [N, n]; slopes (4 / dx^2) w_ip x_ip of one axis after the other, [D N, n]; nodes, [n, D].
+    """Weights w_ip, shape [N, n]; slopes (4 / dx^2) w_ip x_ip, axis by axis, [D N, n]; nodes, [n, D].
 
-    Only the n nodes in the support of particles; indices count from the first padding node, as the kernel's.
+    Only the n nodes in the support of particles; indices count from the first padding node, as in the kernel.
     """
     nodes, weight, offset = support(scene, positions)
     cell, shape = scene.domain.cell, node_shape(scene.domain)
@@ -46,7 +46,7 @@ def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, Intege
 
 
 def clings(mass: Mass) -> bool:
-    """Whether rough ground holds `mass` along itself: all but geostatic boxes, whose sides smooth barriers hold."""
+    """Whether rough ground holds `mass` tangentially: all but geostatic boxes, whose sides smooth barriers hold."""
     return mass.kind == "layer" or isinstance(mass.k0, str)
 
 
@@ -75,12 +75,12 @@ class ContactOperator:
         self.traction = np.zeros((len(self.touching), dimension))
         """Shear traction q [Pa], shape [M, D]."""
         self.normals, self.frictions = np.zeros((weights.shape[1], dimension)), np.zeros(weights.shape[1])
-        """Of the solids that hold nodes, shapes [n, D] and [n]; `fixed_components` finds them."""
+        """Normals and frictions of the solids that hold nodes, [n, D] and [n]; `fixed_components` finds them."""
         self.across_axes = np.zeros((weights.shape[1], dimension), bool)
-        """Which components of nodes faces across an axis hold, [n, D]; it finds these, too."""
+        """Components of nodes held by faces across an axis, [n, D]; `fixed_components` finds these, too."""
 
     def gradient(self, displacements: Floats) -> Floats:
-        """What contact adds to the displacement gradient [-], [M, 3, 3], by nodal displacements [m], shape [n, D]."""
+        """Part of contact in the displacement gradient [-], [M, 3, 3], for nodal displacements [m], shape [n, D]."""
         strain = self.delta * (self.normal * (self.foot @ displacements)).sum(axis=1)
         space = np.pad(self.normal, ((0, 0), (0, 3 - self.normal.shape[1])))
         return np.asarray(strain[:, None, None] * space[:, :, None] * space[:, None, :])
@@ -102,7 +102,7 @@ class ContactOperator:
         return np.asarray(self.foot.T @ (self.share[:, None] * (traction - normal_stress[:, None] * self.normal)))
 
     def pressed(self) -> NDArray[np.bool_]:
-        """Which components of nodes contact pushes, but for rounding, shape [n, D]."""
+        """Components of nodes that contact pushes, up to rounding, shape [n, D]."""
         push = np.abs(self.force(-np.ones(len(self.touching)), 0.0 * self.traction))
         return np.asarray(push > 1.0e-9 * push.max(initial=0.0))
 
@@ -114,11 +114,11 @@ class ContactOperator:
         return np.asarray(scale[:, None] * traction)
 
     def fixed_components(self, scene: Scene, nodes: Integers) -> NDArray[np.bool_]:
-        """Which components of `nodes`, indices of shape [n, D], solids hold, shape [n, D].
+        """The components of `nodes`, indices of shape [n, D], that solids hold, shape [n, D].
 
-        Across faces along an axis that component, where they hold it whole: held in part, it gives way in the run until
-        its particles bear it. Behind oblique faces all, from half on, for such a node lies deep and is in the support
-        of the first row alone; on them a body may slide as well, and what friction does not bear is left there.
+        Faces across an axis hold that component if they hold it completely: held in part, it gives way in the run until
+        its particles bear it. Oblique faces hold all components from a share of half on, since such a node lies deep,
+        in the support of only the first row; a body may also slide on them, and force beyond friction remains.
         """
         solid = contact_surface_of(scene)
         if solid is None:
@@ -150,7 +150,7 @@ class ContactOperator:
         return np.asarray(axes + oblique >= np.where(oblique > axes, HALF, HELD))
 
     def diagonal(self, lame: Floats, shear: Floats) -> Floats:
-        """Diagonal of its part of the stiffness [N/m], [n, D]; theta lambda and theta mu_s of all particles, [N]."""
+        """Diagonal of contact's part of the stiffness [N/m], [n, D]; theta lambda, theta mu_s of all particles, [N]."""
         stiff = self.share * self.delta
         normal = (lame + 2.0 * shear)[self.touching]
         rough = np.where(self.friction > 0.0, shear[self.touching], 0.0)
@@ -158,7 +158,7 @@ class ContactOperator:
         return np.asarray(self.foot.multiply(self.foot).T @ along)
 
     def block(self, lame: Floats, shear: Floats, nodes: Integers) -> Any:
-        """Of its part of the stiffness, that of `nodes`, component after component, [D K, D K]."""
+        """Block of `nodes` in contact's part of the stiffness, component after component, [D K, D K]."""
         size, part = self.normal.shape[1], self.foot[:, nodes].tocsr()
         stiff = self.share * self.delta
         normal = stiff * (lame + 2.0 * shear)[self.touching]

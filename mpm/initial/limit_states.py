@@ -1,19 +1,19 @@
 """Geostatic stress with a given thrust, within the yield surface: admissible up to active and passive pressure.
 
-What jitter does to single particles must not change the thrust of a box on its walls, K0 rho g H^2 / 2. Where K0 is
-near a limit of yield nearly all particles stand on it, and the correction of `mpm.initial.equilibrium` moves their mean
-away from it (0.40 for 0.34). A stress that has equilibrium, thrust and yield is a point of two convex sets,
+Jitter of single particles must not change the thrust of a box on its walls, K0 rho g H^2 / 2. If K0 is near a yield
+limit, nearly all particles are at that limit, and the correction of `mpm.initial.equilibrium` moves their mean away
+from it (0.40 for 0.34). A stress that fulfils equilibrium, thrust and yield lies in two convex sets,
 
     E = {sigma: r(sigma) = 0, sum_p V_p sigma_aa = K0 sum_p V_p sigma_v for every box and level axis a}
     Y = {sigma: the law of strength, reduced by a little, and the tension limit hold in every particle}
 
-and Douglas-Rachford iteration finds one (Lions & Mercier 1979; Bauschke, Combettes & Luke 2002):
+and Douglas-Rachford iteration finds such a stress (Lions & Mercier 1979; Bauschke, Combettes & Luke 2002):
 
     x = P_E(z),   y = P_Y(2 x - z),   z <- z + RELAXED (y - x)
 
 P projects in the norm sum_p V_p sigma : sigma. For E that is the correction of an elastic body with lambda = 0 and one
 shear modulus, so that one factorisation serves all iterations; the thrust adds a self-equilibrated stress to it. P_E is
-found roughly: what is left belongs to the next one.
+computed roughly: the next iteration takes the rest.
 """
 
 import numpy as np
@@ -26,11 +26,11 @@ from mpm.initial.grid_operators import clings
 Floats = NDArray[np.float64]
 
 RELAXED = 1.6  # factor on the step of z, below 2
-ITERATIONS, BETWEEN = 240, 4  # steps at most, and after how many what is unbalanced is computed: a look
-PATIENCE, PROGRESS = 8, 0.8  # how many looks in a row may leave more than this part of the least unbalanced force
+ITERATIONS, BETWEEN = 240, 4  # most steps, and steps between checks of the unbalanced force
+PATIENCE, PROGRESS = 8, 0.8  # how many checks in a row may leave more than this share of the least unbalanced force
 NEARLY, ENOUGH, HASTE = 2.0e-3, 2.0e-4, 4
-"""Unbalanced nodal forces, summed, over the weight: where less is left, or patience ends, nodes that walls would pull
-are freed; and below which a look without progress counts for so many: hardly anything moves then."""
+"""Unbalanced nodal forces, summed, over the weight: below NEARLY, or when patience ends, nodes that walls would pull
+are freed; below ENOUGH, where hardly anything moves, a check without progress counts HASTE times."""
 ROUGH = 0.1  # relative residual of P_E
 RELEASES = 5  # how often nodes are freed
 
@@ -54,7 +54,7 @@ class WithThrust:
         self.factorise()
 
     def factorise(self) -> None:
-        """Begin with the nodes that are free: of the level stress of each box, what has nodal forces there is taken."""
+        """Factorise for the free nodes, and remove from the level stress of each box its nodal forces there."""
         self.precondition = self.problem.preconditioner()
         contact = self.problem.contact
         for mode in self.modes:
@@ -68,13 +68,13 @@ class WithThrust:
         return np.array([volume @ stress[:, axis, axis] for volume, axis in self.parts])
 
     def displaced_by(self, force: Floats) -> Floats:
-        """Displacements [m], [n, D], by nodal forces [N], but for ROUGH of it."""
+        """Displacements [m], [n, D], by nodal forces [N], to a residual of ROUGH."""
         problem = self.problem
         force = np.where(problem.free, force, 0.0)
         return conjugate_gradients(problem.stiffness, force, self.precondition, ROUGH)[0]
 
     def nearest(self, stress: Floats) -> Floats:
-        """P_E(stress), [N, 3, 3], starting from the change by the projection before."""
+        """P_E(stress), [N, 3, 3], starting from the change of the previous projection."""
         problem = self.problem
         force = problem.unbalanced(stress + self.correction, problem.contact.traction)
         self.correction += problem.elastic(self.displaced_by(force))
@@ -84,7 +84,7 @@ class WithThrust:
         return stress + self.correction
 
     def sought(self, start: Floats) -> Floats:
-        """The best stress of E that is admitted, [N, 3, 3], sought from `start`, without what walls would pull."""
+        """The best admitted stress of E, [N, 3, 3], found from `start`, without tension on walls."""
         problem, releases = self.problem, RELEASES
         best, smallest, patience, moving = start, np.inf, PATIENCE, start
         for step in range(ITERATIONS):
@@ -116,9 +116,9 @@ class WithThrust:
 
 
 def with_thrusts(problem: Equilibrium, scene: Scene, mass: NDArray[np.int32], start: Floats, guess: Floats) -> Floats:
-    """The stress of the chosen particles, [N, 3, 3], in equilibrium with the thrusts of `guess`, sought from `start`.
+    """The stress of the chosen particles, [N, 3, 3], in equilibrium with the thrusts of `guess`, found from `start`.
 
-    The best admitted one where there is none within ITERATIONS. Changes the stiffness of `problem`, and frees the nodes
-    that walls would have to pull. mass: as of `WithThrust`.
+    If there is none within ITERATIONS, the best admitted one. Changes the stiffness of `problem`, and frees the nodes
+    that walls would have to pull. mass: as in `WithThrust`.
     """
     return WithThrust(problem, scene, mass, guess).sought(start)

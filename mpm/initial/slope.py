@@ -1,18 +1,17 @@
-"""The stress in which flat masses without `k0` begin on inclined ground, and from which "elastic" ones are balanced:
-that of an infinite slope.
+"""The initial stress of flat masses without `k0` on inclined ground, and the first guess for "elastic" ones: that of an
+infinite slope.
 
-Free of stress a layer would fall by what gravity compresses it, bounce, and slide while its pressure on the ground
-swings. With the unit normal n of the ground, depth d = (depth below the top) n_y normal to it, and g = g_n n + g_t,
+Without initial stress a layer would settle under gravity, bounce, and slide while its pressure on the ground
+oscillates. With the unit normal n of the ground, depth d = (depth below the top) n_y normal to it, and g = g_n n + g_t,
 
     sigma_n = -rho |g_n| d,    tau = t rho |g_n| d towards g_t,    t = min(|g_t| / |g_n|, mu, tan(phi) + c / sigma_0)
     sigma_t = K sigma_n,       sigma_b = nu (sigma_n + sigma_t)                                   (tension positive)
 
-where sigma_0 is the normal stress at the foot. A slope steeper than mu accelerates as a whole, and tau is what friction
-bears; else it is at rest. What is stacked on a box loads it. K is that of an elastic half-space, nu / (1 - nu), within
-active and passive yield beside tau (Rankine 1857; s = sin phi, reduced by MARGIN for what jitter does to single
-particles):
+where sigma_0 is the normal stress at the foot. A slope steeper than mu accelerates as a whole, and tau is the friction;
+else it is at rest. Masses stacked on a box load it. K is that of an elastic half-space, nu / (1 - nu), within the
+active and passive limits beside tau (Rankine 1857; s = sin phi, reduced by MARGIN for the jitter of single particles):
 
-    K = [1 + s^2 -+ 2 sqrt(s^2 - (1 - s^2) t^2)] / (1 - s^2)        (root 0 where t is beyond it)
+    K = [1 + s^2 -+ 2 sqrt(s^2 - (1 - s^2) t^2)] / (1 - s^2)        (root 0 where it would be imaginary)
 """
 
 import math
@@ -28,15 +27,15 @@ from datasets.scene.particles import Particles
 
 Floats = NDArray[np.float64]
 
-FLAT = 5.0  # lengths over height from which on a mass is a layer and no column
-NEAR, MOST = 0.05, 0.9  # cells from the ground within which this share of a polygon's lower side lies if it is a sheet
-SAMPLES = 33  # most places along an axis at which the ground beneath a box is looked at
-LEAST = 1.0e-6  # share of the normal stress that grains bear at least
+FLAT = 5.0  # length over height from which a mass is a layer and no column
+NEAR, MOST = 0.05, 0.9  # a sheet's lower side lies within NEAR cells of the ground over at least this share
+SAMPLES = 33  # most sampling points along an axis for the ground beneath a box
+LEAST = 1.0e-6  # least share of the normal stress that grains bear
 MARGIN = 0.1  # share by which sin(phi) is reduced for K
 
 
 def begins_as_slope(scene: Scene, mass: Mass) -> bool:
-    """Whether a layer or polygon lies along inclined ground, or in a tilted box a box on what is level, or on such."""
+    """Whether a layer or polygon lies along inclined ground or, if tilted, a box on level ground or boxes."""
     if not lies_flat(scene, mass):
         return False
     tilted = scene.slope_deg != 0.0
@@ -65,7 +64,7 @@ def lies_flat(scene: Scene, mass: Mass) -> bool:
 
 
 def follows_ground(scene: Scene, mass: Mass) -> bool:
-    """Whether the lower side of a polygon lies on terrain or floor, but for its ends."""
+    """Whether the lower side of a polygon lies on terrain or floor, except near its ends."""
     x, bottom, _ = sides(mass, scene.domain.cell)
     apart = np.abs(bottom - highest(scene.solids, scene.domain, x[:, None], 0.0)[0])
     return bool(np.mean(apart <= NEAR * scene.domain.cell) >= MOST)
@@ -86,7 +85,7 @@ def sides(mass: Mass, cell: float) -> tuple[Floats, Floats, Floats]:
 
 
 def depth_below_top(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:
-    """Depth [m] below the top at the same x, z, [N]; depth: of its particles, of a polygon below its highest place."""
+    """Depth [m] below the top at the same x, z, [N]; depth: of its particles; in a polygon below its highest point."""
     if mass.kind != "polygon":
         return depth
     x, _, top = sides(mass, scene.domain.cell)
@@ -94,7 +93,7 @@ def depth_below_top(scene: Scene, mass: Mass, positions: Floats, depth: Floats) 
 
 
 def foundation(scene: Scene, mass: Mass) -> Mass | None:
-    """The lowest of the boxes on which a box lies, itself on level ground all over; None where there is none."""
+    """The lowest box of the stack below and with a box, if it lies fully on level ground; None if there is none."""
     if mass.kind != "box":
         return None
     level = plan_axes(scene.dimension)
@@ -132,7 +131,7 @@ def level_ground(scene: Scene, plan: Floats, foot: float) -> tuple[Floats, Float
 
 
 def within(plan: Floats, box: Mass | Baffle | Solid, level: list[int]) -> NDArray[np.bool_]:
-    """Which places in plan [m], [N, D - 1], lie over or under a box, but for rounding."""
+    """Which places in plan [m], [N, D - 1], lie over or under a box, up to rounding."""
     low, size = np.array(box.lower or ())[level], np.array(box.size or ())[level]
     return np.asarray(((plan >= low - TOLERANCE) & (plan <= low + size + TOLERANCE)).all(axis=1))
 
@@ -147,10 +146,10 @@ def above(other: Mass, mass: Mass, scene: Scene) -> bool:
 
 
 def slope_stress(scene: Scene, particles: Particles, positions: Floats, share: Floats | None) -> tuple[Floats, Floats]:
-    """Of particles at `positions` [m], [N, D]: their stress [Pa], [N, 3, 3], and the shear traction of the ground on
-    them [Pa], [N, D]; 0 in masses that do not begin so. A field of friction does not enter.
+    """Stress [Pa], [N, 3, 3], of particles at `positions` [m], [N, D], and shear traction of the ground on them [Pa],
+    [N, D]; 0 in masses that do not begin as a slope. A field of friction is not considered.
 
-    share: of the normal stress that grains bear beside water, [N]; all where None.
+    share: part of the normal stress that grains bear beside water, [N]; None: all.
     """
     stress, traction = np.zeros((len(positions), 3, 3)), np.zeros(positions.shape)
     for number, mass in enumerate(scene.masses):
@@ -191,7 +190,7 @@ def slope_stress(scene: Scene, particles: Particles, positions: Floats, share: F
 
 
 def mass_above(scene: Scene, mass: Mass, positions: Floats) -> Floats:
-    """What is stacked on a box over `positions` [m], [N, D]: its mass per area [kg/m^(D - 1)], shape [N]."""
+    """Mass per area stacked on a box over `positions` [m], [N, D]: [kg/m^(D - 1)], shape [N]."""
     total = np.zeros(len(positions))
     level = plan_axes(scene.dimension)
     for other in scene.masses if mass.kind == "box" else ():

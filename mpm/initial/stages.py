@@ -1,11 +1,11 @@
-"""Stages: at a time, or when all has settled, particles take other constants of their material.
+"""Stages: at a given time, or when the scene has settled, particles get other constants of their material.
 
-A stage (`datasets.scene.Stage`) begins at the end of a frame, between two calls of the kernel, which knows nothing of
-it: the properties that particles carry are written anew. Stress beyond the new yield surface returns to it in the next
-step. Which particles a stage is for depends on where they began alone, so that a run can be interrupted anywhere.
+A stage (`datasets.scene.Stage`) begins at the end of a frame, between two calls of the kernel, which does not know it:
+the particles' properties are rewritten. Stress beyond the new yield surface returns to it in the next step. The
+particles of a stage follow from their initial places alone, so that a run can be interrupted anywhere.
 
-Settled: over a window of frames (`mpm.output.recording.window_frames`), a period of the slowest oscillation and a time
-of flow long, the kinetic energy was below REST of its largest since the stage before, or below REST_ENERGY.
+Settled: over a window of frames (`mpm.output.recording.window_frames`), at least a period of the slowest oscillation
+and a flow time, the kinetic energy was below REST times its largest since the last stage, or below REST_ENERGY.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ from mpm.output.recording import REST, window_frames
 
 
 def selected(stage: Stage, particles: Particles) -> NDArray[np.bool_]:
-    """Which of N particles, as they begin, a stage is for, shape [N]."""
+    """Which of N particles, in their initial state, a stage applies to, shape [N]."""
     places = particles.positions
     here = np.full(len(places), True) if stage.mass is None else particles.mass == stage.mass
     if stage.lower is not None and stage.size is not None:
@@ -51,7 +51,7 @@ def particles_after(scene: Scene, particles: Particles, count: int) -> Particles
 
 
 def next_stage(batch: Batch, index: int) -> Stage | None:
-    """The stage that scene `index` of a batch waits for; None where it waits for none, or has ended."""
+    """The stage that scene `index` of a batch waits for; None if it waits for none, or has ended."""
     begun = np.count_nonzero(batch.staged[index])
     waits = begun < len(batch.scenes[index].stages) and not batch.ended(batch.computed + 1)[index]
     return batch.scenes[index].stages[begun] if waits else None
@@ -60,7 +60,7 @@ def next_stage(batch: Batch, index: int) -> Stage | None:
 def call_end(batch: Batch, first: int) -> int:
     """The frame before which a call that begins with `first` must end, so that stages can begin.
 
-    While a scene waits for one, and for a window of frames after the last, it is not at rest, whatever its speed.
+    While a scene waits for a stage, and for a window of frames after the last, it does not count as at rest.
     """
     end = INDEX_LIMIT
     for index, scene in enumerate(batch.scenes):
@@ -78,7 +78,7 @@ def call_end(batch: Batch, first: int) -> int:
 
 
 def begin_stages(batch: Batch) -> None:
-    """Begin the stages whose time has come with the last frame computed, and those of scenes that have settled."""
+    """Begin the stages that are due after the last computed frame, and those of scenes that have settled."""
     for index, scene in enumerate(batch.scenes):
         stage = next_stage(batch, index)
         if stage is None:

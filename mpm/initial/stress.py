@@ -1,33 +1,33 @@
-"""The stress in which masses begin: geostatic or elastic, in equilibrium with gravity on the grid itself.
+"""The initial stress of masses: geostatic or elastic, in equilibrium with gravity on the grid itself.
 
-The method and its sources are those of docs/theory/initial-stress.md.
+docs/theory/initial-stress.md gives the method and its sources.
 
-**First guess.** A mass with a number K0 (`Mass.k0`) begins geostatic: with the overburden q [Pa] above a particle, its
-own material's and that of the masses stacked on it, sigma_yy = -q and sigma_xx = sigma_zz = -K0 q (tension positive, y
-normal to the floor); an "elastic" one begins with the stress of an infinite slope where it lies flat on inclined ground
-(`mpm.initial.slope`), else from nothing. On the grid, with particles that are jittered, the nodal forces of
-`mpm.physics.transfer` then miss the weight by as much as the weight itself.
+**First guess.** A mass with a number K0 (`Mass.k0`) begins geostatic: with the overburden q [Pa] above a particle, from
+its own material and the masses stacked on it, sigma_yy = -q and sigma_xx = sigma_zz = -K0 q (tension positive, y normal
+to the floor). An "elastic" mass begins with the stress of an infinite slope if it lies flat on inclined ground
+(`mpm.initial.slope`), else without stress. On the grid, with jittered particles, the nodal forces of
+`mpm.physics.transfer` then differ from the weight by as much as the weight itself.
 
-**Correction.** The smallest change of stress, in the elastic energy, that closes the gap derives from nodal
+**Correction.** The smallest change of stress, in elastic energy, that restores equilibrium derives from nodal
 displacements u through the gradient that the kernel uses,
 
     C_p = (4 / dx^2) sum_i w_ip u_i x_ip^T,   dsigma_p = theta_p [lambda tr(C) I + 2 mu sym(C)]
 
 and K u = r with K = sum_p V_p B^T D B (B: u -> sym C) and the unbalanced force r_i = m_i g - sum_p w_ip V_p (4 / dx^2)
-sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless it would
-have to be pulled, nor across a barrier (`mpm.initial.barriers`); under an elastic mass a rough floor holds it
-altogether, unless that takes more than friction: then it slips, and friction is a force on it. A geostatic box stands
-between smooth barriers on all its lateral faces; a geostatic layer is held by rough ground as an elastic mass is.
-Solids push as in `mpm.physics.contact`, by whose law they are part of C_p and of K, with shear tractions where they are
-rough and hold a mass. Where bodies touch them, or slip, K has a little inertia (`INERTIA`).
+sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless the wall
+would have to pull, nor across a barrier (`mpm.initial.barriers`). Under an elastic mass a rough floor holds the node
+completely, unless that needs more than friction: then it slips, and friction acts on it as a force. A geostatic box
+stands between smooth barriers on all its lateral faces; rough ground holds a geostatic layer like an elastic mass.
+Solids push as in `mpm.physics.contact`, whose law is part of C_p and of K, with shear tractions where they are rough
+and hold a mass. Where bodies touch solids, or slip, K has a little inertia (`INERTIA`).
 
 **Yield.** Where the corrected stress violates the tension limit, the principal stresses beyond it are cut; where it
-violates the law it is then scaled towards its own mean stress until it does not. What this leaves unbalanced is
-distributed again (Zienkiewicz, Valliappan & King 1969), with theta_p a tenth of what it was for every particle that
-yielded, so that the others take the load, as a tangent would have them do.
+violates the law, it is then scaled towards its own mean stress until it does not. The unbalanced forces are distributed
+again (Zienkiewicz, Valliappan & King 1969), with theta_p reduced to a tenth for every particle that yielded, so that
+the others take the load, as with a tangent stiffness.
 
-**Solver.** K is never assembled. Conjugate gradients, preconditioned by the diagonal and, where K is worst, by a sparse
-LU of the block of the nodes that few particles support (surfaces and edges); in 2D of all nodes. Everything is in f64.
+**Solver.** K is never assembled. Conjugate gradients are preconditioned by the diagonal and, where K is worst, by a
+sparse LU of the block of nodes with few particles (surfaces and edges); in 2D of all nodes. Everything is in f64.
 """
 
 import warnings
@@ -44,25 +44,24 @@ from mpm.initial.slope import slope_stress
 
 Floats = NDArray[np.float64]
 
-NEAR = 0.01  # share of a box's thrust that an elastic solution may miss, and any solution without a word
+NEAR = 0.01  # share of a box's thrust that an elastic solution may lack, and any solution without a warning
 
 
 def initial_tractions(
     scene: Scene, particles: Particles, positions: Floats | None = None, water: tuple[Floats, Floats] | None = None
 ) -> tuple[Floats, Floats]:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
-    the shear traction of the solid that it touches [Pa], shape [N, D]. In masses without `k0` that of
-    `mpm.initial.slope`, or zero. `positions` [m],
-    shape [N, D]: those of the particles as the solver rounds them, where that matters. Warns in one line where no
-    equilibrium within the yield surface was found. water: what `mpm.initial.water` gives, where
-    there is any; the stress is that of the grains alone.
+    the shear traction of the solid that it touches [Pa], shape [N, D]. In masses without `k0` it is that of
+    `mpm.initial.slope`, or zero. `positions` [m], shape [N, D]: the particles' positions as the solver rounds them, if
+    that matters. Warns in one line if no equilibrium within the yield surface was found. water: the result of
+    `mpm.initial.water`, if there is any; the stress is then the effective one.
     """
     dimension = scene.dimension
     rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
     stress, shear = slope_stress(scene, particles, rounded, None if water is None else water[0][:, 2])
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
     if water is not None and not chosen.all() and scene.gravity > 0.0:
-        # Else water would take what is unbalanced on the grid: it is the stiffer.
+        # Otherwise water, which is stiffer, would take the unbalanced forces of the grid.
         numbers = np.flatnonzero(~chosen)
         problem = Equilibrium(scene, particles, rounded, numbers)
         problem.carry(scene, rounded[numbers], water[0][numbers, 0], water[1][numbers])
@@ -104,10 +103,10 @@ def geostatic(scene: Scene, particles: Particles, positions: Floats) -> Floats:
 
 
 def lateral_shortfall(scene: Scene, particles: Particles, guess: Floats, stress: Floats) -> Floats:
-    """Which share of the level stresses of `guess` is missing in `stress` on average over a mass [-], [N, 3, 3].
+    """Share of the level stresses of `guess` that `stress` lacks, on average over a mass [-], [N, 3, 3].
 
-    Of boxes with a number for `k0`, between smooth walls: this mean is the thrust through each section of a box,
-    whatever the jitter does to single particles (virtual work of a uniform strain). 0 elsewhere.
+    For boxes with a number for `k0`, between smooth walls, this mean is the thrust through each section, whatever the
+    jitter of single particles (virtual work of a uniform strain). 0 elsewhere.
     """
     lacking = np.zeros_like(stress)
     for number, mass in enumerate(scene.masses):
@@ -122,7 +121,7 @@ def lateral_shortfall(scene: Scene, particles: Particles, guess: Floats, stress:
 
 
 def warn_of_ratio(scene: Scene, particles: Particles, lacking: Floats) -> None:
-    """One UserWarning for each box whose thrust is not that of its `k0`."""
+    """One UserWarning for each box whose thrust differs from that of its `k0`."""
     for number, (key, mass) in enumerate(keyed(scene, "masses").items()):
         share = float(np.abs(lacking[particles.mass == number]).max(initial=0.0))
         if share > NEAR:
@@ -131,9 +130,9 @@ def warn_of_ratio(scene: Scene, particles: Particles, lacking: Floats) -> None:
 
 
 def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:
-    """Weight per area of what lies above `positions` in `mass` [Pa], shape [n], `depth` [m] below its surface.
+    """Weight per area above `positions` in `mass` [Pa], shape [n], `depth` [m] below its surface.
 
-    It counts masses that rest on it without a gap and have a `k0` themselves: others bear nothing yet, and so press on
+    It includes masses that rest on `mass` without a gap and have a `k0`: others carry no stress yet and so press on
     nothing.
     """
     gravity = -scene.gravity_vector[1]

@@ -1,22 +1,22 @@
-"""The pore pressure in which saturated masses begin, and which share of their weight it leaves to the grains.
+"""The initial pore pressure of saturated masses, and the share of their weight that it leaves to the grains.
 
     p = r_u sigma                                     of a mass with `initial_pore_pressure_ratio` r_u
     p = rho_w a (min(s, top) - y)                     of others below the water table y = s(x, z), else 0
 
-with the total stress sigma = rho a (top - y), of all that rests on a place up to `top`. Pressure grows with the
-vertical depth, a = -g_y: water at rest below a level table, and a common assumption below any other one, which leaves
-out what seepage takes of it. In a sheet along a slope, sigma is the stress normal to its ground, a = |g . n| n_y with
-the unit normal n of that, and water flows along its surface: n is that of the table, or of the ground where the table
-is above it; a pool is level. Above the table material is moist: p = 0, and it has no water that could be pressed.
-Where the table is above the ground, the water that stood there is gone, and the pressure that its weight had made in
-the pores with it (B = 1: Bishop 1954; Morgenstern 1963, rapid drawdown). The rest, 1 - p / sigma of the normal stress,
-grains bear, by `mpm.initial.stress`.
+with the total stress sigma = rho a (top - y) of all material above a place, up to `top`. Pressure grows with the
+vertical depth, a = -g_y: exact for water at rest below a level table, and a common assumption below any other table,
+which neglects the effect of seepage. In a sheet along a slope, sigma is the stress normal to its ground, a = |g . n|
+n_y with the ground's unit normal n, and water flows along its surface: n is then that of the table, or of the ground
+where the table is above it; a pool is level. Above the table material is moist: p = 0, and it has no water that could
+be compressed. Where the table is above the ground, the water that stood there is gone, and with it the pore pressure
+due to its weight (B = 1: Bishop 1954; Morgenstern 1963, rapid drawdown). The grains bear the rest, 1 - p / sigma of the
+normal stress, by `mpm.initial.stress`.
 
-**A slope at rest** (`Water.fixed`) needs no more of water than the force per volume -grad p: buoyancy and seepage, and
-the effective stress of its surface is 0 also beneath a pool, which adds rho_w g (pool - top) to p where it stands. The
-table is no lower than a pool there. Across a steep free face p falls to that of the pool, or 0. This fall is spread on
-the cell inside the face, where p is less by J (1 - d / h), with the fall J, the distance d and the cell h: the force of
-water stays a gradient, which changes nothing in material whose strength depends on no pressure.
+**A slope at rest** (`Water.fixed`) needs only the force per volume -grad p of the water: buoyancy and seepage. The
+effective stress of its surface is 0 also beneath a pool, which adds rho_w g (pool - top) to p; the table is no lower
+than the pool there. Across a steep free face p falls to that of the pool, or to 0. This fall is spread over the cell
+inside the face, where p is lower by J (1 - d / h), with the fall J, the distance d and the cell h: the force of water
+stays a gradient, which has no effect in material whose strength is independent of pressure.
 """
 
 import math
@@ -40,14 +40,14 @@ from mpm.initial.slope import begins_as_slope, ground_beneath, mass_above, sides
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
 
-HALVINGS = 12  # of a cell in which a face lies
-BEYOND = 0.1  # cells beyond a face where what lies there is looked for
+HALVINGS = 12  # halvings of a cell to locate a face
+BEYOND = 0.1  # cells beyond a face at which the material there is looked up
 
 
 def initial_water(scene: Scene, particles: Particles, near: Booleans | None = None) -> tuple[Floats, Floats]:
     """p [Pa] of each particle, 1 where water fills its pores and else 0, and the share of the normal stress that grains
-    bear [-], shape [N, 3]; and grad p [Pa/m], shape [N, D]. near: of flows those that need it, which are beside
-    surfaces, [N]; all where absent. Raises InputError for a saturated mass that begins without a stress.
+    bear [-], shape [N, 3]; and grad p [Pa/m], shape [N, D]. near: in flows, the particles beside surfaces, which need
+    it, [N]; None: all. Raises InputError for a saturated mass without an initial stress.
     """
     positions = particles.positions
     pressure, wet, share = np.zeros((3, len(positions)))
@@ -70,7 +70,7 @@ def initial_water(scene: Scene, particles: Particles, near: Booleans | None = No
         if not fixed:
             pore_pressure = np.minimum(pore_pressure, whole)
         wet[of_mass], pressure[of_mass] = full, pore_pressure
-        # The weight of a pool rests on water alone.
+        # Only water carries the weight of a pool.
         carried = np.maximum(pore_pressure - np.nan_to_num(pool_pressure(scene, mass, plan)), 0.0)
         share[of_mass] -= np.divide(carried, whole, out=np.zeros_like(whole), where=whole > 0.0)
     return np.stack([pressure, wet, share], axis=1), slopes
@@ -92,7 +92,7 @@ def stresses(scene: Scene, mass: Mass, positions: Floats) -> Floats:
     plan, y = positions[:, plan_axes(scene.dimension)], positions[:, 1]
     _, top = extent(scene, mass, plan)
     water_weight = np.full(len(y), -scene.gravity_vector[1])
-    # Its ground is the same where a stress has been asked for.
+    # The ground is the same as for its initial stress.
     if begins_as_slope(scene, mass):
         normal, _ = ground_beneath(scene, mass, positions)
         across = normal_weight(scene, normal)
@@ -109,7 +109,7 @@ def stresses(scene: Scene, mass: Mass, positions: Floats) -> Floats:
 
 
 def pool_pressure(scene: Scene, mass: Mass, plan: Floats) -> Floats:
-    """Pressure [Pa] of the pool on the ground over places in plan [m], [N, D - 1]; 0 where none stands. Shape [N]."""
+    """Pressure [Pa] of the pool on the ground over places in plan [m], [N, D - 1]; 0 without a pool. Shape [N]."""
     pool = (scene.water or Water()).pool
     if pool is None:
         return np.zeros(len(plan))
@@ -117,15 +117,15 @@ def pool_pressure(scene: Scene, mass: Mass, plan: Floats) -> Floats:
 
 
 def normal_weight(scene: Scene, normal: Floats) -> Floats:
-    """|g . n| n_y [m/s^2] of surfaces with the unit normals n, [N, D], along which water flows: by how much p / rho_w
-    grows per vertical depth below one. Shape [N]."""
+    """|g . n| n_y [m/s^2] of surfaces with the unit normals n, [N, D], along which water flows: the growth of p / rho_w
+    per vertical depth below the surface. Shape [N]."""
     return np.asarray(np.abs(normal @ np.array(scene.gravity_vector)) * normal[:, 1])
 
 
 def weight_in_sheet(scene: Scene, mass: Mass, plan: Floats, across: Floats) -> Floats:
-    """By how much p / rho_w grows per vertical depth in a sheet [m/s^2], over places in plan [m], [N, D - 1]: below a
-    pool as in water at rest, else as in water that flows along its table, or along the ground where that is lower.
-    `across` [m/s^2], [N]: the one along the ground. p has no jump: between them there is a height of the sheet. [N].
+    """Growth of p / rho_w per vertical depth in a sheet [m/s^2], over places in plan [m], [N, D - 1]: below a pool as
+    in water at rest, else as in water that flows along its table, or along the ground where that is lower. `across`
+    [m/s^2], [N]: the value along the ground. p is continuous: the transition spans a height of the sheet. [N].
     """
     water, down, tall = scene.water or Water(), -scene.gravity_vector[1], height(scene, mass)
     surface, top = np.full(len(plan), down), column_top(scene, mass, plan)
@@ -143,8 +143,8 @@ def weight_in_sheet(scene: Scene, mass: Mass, plan: Floats, across: Floats) -> F
 
 
 def table(scene: Scene, mass: Mass, plan: Floats) -> Floats:
-    """Elevation [m] of the water table over places in plan [m], [N, D - 1]: at least that of a pool, of a table that is
-    not level where the pool stands on the ground; inf where water stands to the top. [N]."""
+    """Elevation [m] of the water table over places in plan [m], [N, D - 1]: at least that of a pool, for a sloping
+    table only where the pool stands on the ground; inf where water fills it to the top. [N]."""
     water = scene.water or Water()
     if water.table is None:
         pool = water.pool if mass.initial_pore_pressure_ratio is None else None
@@ -173,7 +173,7 @@ def column_top(scene: Scene, mass: Mass, plan: Floats) -> Floats:
 
 
 def extent(scene: Scene, mass: Mass, plan: Floats) -> tuple[Floats, Floats]:
-    """Lower and upper end [m] of a mass over places in plan [m], [N, D - 1]; NaN where it is not. Each [N]."""
+    """Lower and upper end [m] of a mass over places in plan [m], [N, D - 1]; NaN outside of it. Each [N]."""
     level = plan_axes(scene.dimension)
     inside = within(plan, mass, level)
     if mass.kind == "polygon":
@@ -186,7 +186,7 @@ def extent(scene: Scene, mass: Mass, plan: Floats) -> tuple[Floats, Floats]:
         ends = [foot, foot + body.depth(np.insert(plan, 1, foot, axis=1))]
         inside = inside & (ends[1] > foot)
     else:
-        # The columns of the lattice that fills a mesh.
+        # The columns of the lattice that fills the mesh.
         body = filling(scene, mass)
         first, steps = body.lattice.min(axis=0), body.spacing
         index = np.rint((body.lattice - first) / steps).astype(np.int64)[:, level]
@@ -206,8 +206,8 @@ def pressure_slope(scene: Scene, mass: Mass, positions: Floats) -> Floats:
 
 
 def force_slope(scene: Scene, mass: Mass, positions: Floats) -> Floats:
-    """grad p at `positions` [m], [N, D], of a mass [Pa/m], with the fall of p across its faces: that of
-    p - J (1 - d / h) at a distance d from a face, within a cell h of it, shape [N, D]."""
+    """grad p at `positions` [m], [N, D], of a mass [Pa/m], including the fall of p across its faces: the gradient of p
+    - J (1 - d / h) at a distance d from a face, within a cell h of it, shape [N, D]."""
     if mass.kind == INFLOW:
         return pressure_slope(scene, mass, positions)
     cell, up = scene.domain.cell, 0.5 * scene.domain.cell * np.eye(scene.dimension)[1]
@@ -218,7 +218,7 @@ def force_slope(scene: Scene, mass: Mass, positions: Floats) -> Floats:
     for (axis, side), fall in falls.items():
         kind, across, missing = fall[:, near]
         slopes[near, axis] -= side * across / cell
-        # Over the height only along one face.
+        # Differences over the height only along one face.
         ends = [end[axis, side] for end in beside]
         alike = [(end[0] == kind) & inner for end, inner in zip(ends, in_body, strict=True)]
         low, high = (np.where(same, end[2], missing) for end, same in zip(ends, alike, strict=True))
@@ -241,7 +241,7 @@ def pressure_and_falls(scene: Scene, mass: Mass, positions: Floats) -> tuple[Flo
     for (axis, side), (free, distance, beyond) in faces.items():
         at_face = np.maximum(pressure[free] + side * slopes[free, axis] * distance[free], 0.0)
         pool, inner = pressure_beyond(scene, mass, beyond[free])
-        # Of two masses each takes a half, up to the mean of both.
+        # Between two masses each takes half of the fall, up to the mean of both.
         across = at_face - np.where(inner > 0.0, 0.5 * (at_face + inner), pool)
         fall = falls[axis, side] = np.zeros((3, len(positions)))
         fall[:, free] = np.where(inner > 0.0, 2.0, 1.0), across, across * (1.0 - distance[free] / scene.domain.cell)
@@ -314,8 +314,8 @@ def gradient(
     step: float,
     known: Mapping[tuple[int, float], Booleans] | None = None,
 ) -> Floats:
-    """Of function(positions) [..., N] by differences over `step` [m] where it is known either way; [..., N, D]. known:
-    of an axis and a side, 1 or -1, where it is that way, [N]."""
+    """Gradient of function(positions) [..., N] by differences over `step` [m], central where possible; [..., N, D].
+    known: for an axis and a side, 1 or -1, where the function is known on that side, [N]."""
     here, slopes, everywhere = function(positions), [], np.ones(len(positions), bool)
     for axis, direction in enumerate(step * np.eye(positions.shape[1])):
         ends = [function(positions + side * direction) for side in (-1.0, 1.0)]

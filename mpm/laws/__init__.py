@@ -1,20 +1,20 @@
-"""Laws of strength: a module here for each, found by its name; a kernel contains the law of its scenes alone.
+"""Laws of strength: one module each, found by its name; a kernel contains only the law of its scenes.
 
-`[material] law = "NAME"` is the module of that name, with _ for -. What it has:
+`[material] law = "NAME"` selects the module of that name, with _ for -. A module contains:
 
     Parameters                        a record of its keys in `[material]`, with units and bounds
     Column                            its columns of `properties`, from `len(mpm.arrays.layout.Property)` on
-    OPENS                             whether tension opens it: the fourth of its strengths is then the largest [Pa]
-    features(materials, stages)       flags of `mpm.arrays.features.Features` that it sets
+    OPENS                             whether tension opens it: its fourth strength is then the largest tension [Pa]
+    features(materials, stages)       the flags of `mpm.arrays.features.Features` that it sets
     columns(features)                 the columns that a kernel with these features reads
     properties(material, depth, friction_deg)       their values [N, len(Column)]; in NumPy
-    strengths(values, strain, cell, dt, features)   what the return takes, from the values of all columns; in lanes
-    return_principal or return_tensor               the stress that it admits in place of a trial stress; in lanes
-    admitted_share, nearest, limit                  the stress that it admits at the start; in NumPy
+    strengths(values, strain, cell, dt, features)   arguments of the return, from the values of all columns; in lanes
+    return_principal or return_tensor               the admitted stress in place of a trial stress; in lanes
+    admitted_share, nearest, limit                  the admitted stress at the start; in NumPy
     weakened(material, factor)        the material with its strength divided by a factor
 
-The functions in lanes are straight-line code, from which `mpm.adjoint` makes their reverse. That of a law in principal
-stresses also asks where nothing yields and where two stresses fell alike: `elastic_at`, `fell_alike`.
+The functions in lanes are straight-line code, from which `mpm.adjoint` derives their reverse. For a law in principal
+stresses it also asks where nothing yields and where two stresses fell alike: `elastic_at`, `fell_alike`.
 """
 
 import pkgutil
@@ -31,7 +31,7 @@ LAWS = {each.name.replace("_", "-"): f"{__name__}.{each.name}" for each in pkgut
 
 
 def law_named(name: str) -> Any:
-    """The module of a law; imported here, because it needs Taichi. Raises InputError for a name that none has."""
+    """The module of a law; imported here, because it needs Taichi. Raises InputError for an unknown name."""
     require(name in LAWS, "material.law", f"one of {', '.join(LAWS)}", repr(name))
     return import_module(LAWS[name])
 
@@ -44,7 +44,7 @@ def parameters_of(material: Material) -> Any:
 
 
 def law_of(materials: Iterable[Material]) -> Any:
-    """The module of the law that all materials have. Raises InputError where they differ, and for wrong keys of it."""
+    """The module of the law of all materials. Raises InputError if their laws differ, and for wrong keys of a law."""
     given = [*materials]
     for material in given:
         parameters_of(material)

@@ -1,4 +1,4 @@
-"""Mohr-Coulomb plasticity with a tension cutoff, returned in principal stresses; for vectors of lanes, so branchless.
+"""Mohr-Coulomb plasticity with a tension cutoff, returned in principal stresses; branchless, for vectors of lanes.
 
 Tension is positive, s1 >= s2 >= s3 are the principal stresses. Yield functions and flow potentials (Davis 1968; de
 Souza Neto, Peric & Owen 2008, section 8.2), Coulomb's for every ordered pair of axes and Rankine's for every axis:
@@ -13,7 +13,7 @@ elasticity D (Lame constants lambda, mu),
     s = s_trial - sum_a g_a D dG_a/ds,    g_a >= 0,  F_a(s) <= 0,  g_a F_a(s) = 0.
 
 Its solution is unique, piecewise linear and continuous in s_trial (by enumeration: `tests/mpm/test_return_map.py`). It
-is the first of these that no other surface forbids:
+is the first of the following that no other surface excludes:
 
     A  the hexagon alone: the plane F_13, or an edge where F_13 meets F_23 or F_12, taken where s1 <= T;
     B  the cutoff alone: one, two or three stresses equal T, taken where F_13 <= 0;
@@ -21,9 +21,9 @@ is the first of these that no other surface forbids:
        s2 = s2_trial + nu (ds1 + ds3), for nothing yields along axis 2 until s2 meets s1 or s3; then it stays there.
 
 On the plane dgamma = F / (4 [mu + (lambda + mu) sin phi sin psi]); an edge is a symmetric 2 x 2 system. A stress that
-opens a crack relaxes the others by elastic coupling, lambda / (lambda + 2 mu) of what it gives up itself.
+opens a crack relaxes the others by elastic coupling, lambda / (lambda + 2 mu) of its own decrease.
 
-Without cohesion T = 0 is the apex: B and C are the stress 0, taken where the mean of A is not below 0.
+Without cohesion T = 0 is the apex: B and C give zero stress, taken where the mean of A is not below 0.
 
 | symbol | variable |
 |---|---|
@@ -55,26 +55,26 @@ from mpm.physics.inertial import sin_phi_at_rate
 Floats = NDArray[np.float64]
 
 OPENS = True
-REDUCED = 1.0e-3  # share off sin(phi) for `nearest`: what converges to it lies within yield after a number of steps
+REDUCED = 1.0e-3  # reduction of sin(phi) for `nearest`, so that an iteration ends within yield after finite steps
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters(Record):
-    """No others than those of `datasets.scene.material`, with their units and bounds: every folder knows this law."""
+    """None besides those of `datasets.scene.material`, with their units and bounds: all of Talus knows this law."""
 
 
 class Column(IntEnum):
-    """What the law knows of a particle."""
+    """The properties of a particle for the law."""
 
     SIN_PHI = len(Property)  # [-]
     SIN_PSI = auto()  # [-]
     STRENGTH = auto()  # 2 c cos(phi) [Pa]
     LIMIT = auto()  # largest tensile stress [Pa]
-    RESIDUAL_SIN_PHI = auto()  # [-]; from here on only where the material softens
+    RESIDUAL_SIN_PHI = auto()  # [-]; from here on only if the material softens
     RESIDUAL_STRENGTH = auto()  # 2 c cos(phi) of the residual values [Pa]
     RESIDUAL_LIMIT = auto()  # [Pa]
     SOFTENING = auto()  # sqrt(3) / softening length [1/m], 0 where it does not soften
-    SIN_PHI_LIMIT = auto()  # [-], 0 where friction does not depend on the rate; from here on only where it does
+    SIN_PHI_LIMIT = auto()  # [-], 0 if friction does not depend on the rate; from here on only if it does
     INERTIAL_RATE = auto()  # I_0 / (d sqrt(rho_s)) [1/(s sqrt(Pa))]
 
 
@@ -83,7 +83,7 @@ RESIDUAL = Column.RESIDUAL_SIN_PHI, Column.RESIDUAL_STRENGTH, Column.RESIDUAL_LI
 
 
 def features(materials: Sequence[Material], stages: Sequence[Stage]) -> dict[str, bool]:
-    """Which of its parts these materials need, at the start or after a stage."""
+    """The parts of the law that these materials need, at the start or after a stage."""
     return {
         "cohesive": any(material.cohesive for material in materials)
         or any(stage.cohesion or stage.strength_gradient for stage in stages),
@@ -107,7 +107,7 @@ def columns(features: Any) -> list[Column]:
 def properties(material: Material, depth: Floats, friction_deg: Floats | None) -> Floats:
     """Columns of particles at `depth` [m] below the top of their body, shape [N]; [N, len(Column)].
 
-    friction_deg: of each of them, shape [N], in place of the material's; its residual one stays where it has one.
+    friction_deg: of each particle, shape [N], in place of the material's; a residual angle stays.
     """
     values: dict[Column, Any] = {
         Column.SIN_PSI: math.sin(math.radians(material.dilation_deg)),
@@ -131,7 +131,7 @@ def properties(material: Material, depth: Floats, friction_deg: Floats | None) -
 
 
 def weakened(material: Material, factor: float) -> Material:
-    """`material` with its strength divided by `factor`: tan(phi), c, tension cutoff, and what remains of them."""
+    """`material` with its strength divided by `factor`: tan(phi), c, tension cutoff, and their residual values."""
     phi = flatter(material.phi_deg, factor)
     values: dict[str, Any] = {"angle": "triaxial", "friction_limit_deg": None, "friction_deg": phi}
     if material.residual_friction_deg is not None:
@@ -153,7 +153,7 @@ def limit(rows: Floats) -> Floats:
 
 
 def admitted_share(mean: Floats, deviators: Floats, rows: Floats) -> Floats:
-    """By which factor a deviator is admitted beside its mean stress [Pa], shape [N]; 1 and more: as it is.
+    """The factor by which a deviator is admitted at its mean stress [Pa], shape [N]; 1 and more: unchanged.
 
     deviators: its principal values [Pa], ascending, shape [N, 3].
     """
@@ -168,10 +168,10 @@ def quotient(top: Floats, bottom: Floats) -> Floats:
 
 
 def nearest(principal: Floats, rows: Floats) -> Floats:
-    """The admitted principal stresses [Pa] next to given ones, ascending, shape [N, 3]: Mohr-Coulomb, then the cutoff.
+    """The admitted principal stresses [Pa] nearest to given ones, ascending, [N, 3]: Mohr-Coulomb, then the cutoff.
 
-    a >= b >= c with F(a, c) <= 0: onto that plane, where b then lies between a and c; else with the two that would pass
-    each other as one.
+    a >= b >= c with F(a, c) <= 0: projected onto that plane if b then lies between a and c; else with the two stresses
+    that would pass each other set equal.
     """
     c, b, a = principal.T
     sin_phi, tension = (1.0 - REDUCED) * rows[:, Column.SIN_PHI], rows[:, Column.LIMIT]
@@ -202,8 +202,8 @@ def excess_over(s_i, s_j, sin_phi, strength):
 
 @ti.func
 def strengths(values: ti.template(), strain: ti.template(), cell, dt, features: ti.template()):
-    """The strengths of a step, as `return_principal` takes them, of the values of the columns; one that the kernel does
-    not read is 0. strain: of one number where the material softens, the plastic strain at the start of the step [-].
+    """The strengths of a step, as `return_principal` takes them, from the values of the columns; one that the kernel
+    does not read is 0. strain: a list of one number if the material softens, the initial plastic strain of the step.
     """
     slow = slow_strengths(values, strain, cell, features)
     if ti.static(features.inertial):
@@ -214,7 +214,7 @@ def strengths(values: ti.template(), strain: ti.template(), cell, dt, features: 
 
 @ti.func
 def slow_strengths(values: ti.template(), strain: ti.template(), cell, features: ti.template()):
-    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] where it shears slowly."""
+    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] in slow shear."""
     peak = values[0], values[1], values[2], values[3]
     if ti.static(features.softens):
         return softened(strain[0], values[7] * cell, peak, (values[4], values[5], values[6]), features)
@@ -224,7 +224,7 @@ def slow_strengths(values: ti.template(), strain: ti.template(), cell, features:
 
 @ti.func
 def apex_limit(cutoff, sin_phi, strength):
-    """T [Pa]: the tension cutoff, or the apex c cot phi = strength / (2 sin phi) where that is lower."""
+    """T [Pa]: the tension cutoff, or the apex c cot phi = strength / (2 sin phi) if that is lower."""
     return minimum(cutoff, strength / maximum(2.0 * sin_phi, TINY))
 
 
@@ -240,7 +240,7 @@ def softened(strain, per_strain, peak: ti.template(), residual: ti.template(), f
     sin_phi = residual[0] + w * (peak[0] - residual[0])
     if ti.static(features.cohesive):
         strength = residual[1] + w * (peak[2] - residual[1])
-        # c cot phi is not linear in w: between its ends it may lie below the straight line.
+        # c cot phi is not linear in w: in between it may lie below the straight line.
         limit = apex_limit(residual[2] + w * (peak[3] - residual[2]), sin_phi, strength)
         return sin_phi, w * peak[1], strength, limit
     else:
@@ -264,13 +264,13 @@ def on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates: ti.temp
 
 @ti.func
 def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: ti.template(), dilates: ti.template()):
-    """Return to the edge where stresses 1 and 2 (`upper`) or 2 and 3 meet: the stress apart, then the equal two."""
+    """Return to the edge where stresses 1 and 2 (`upper`) or 2 and 3 coincide: the single one, then the equal two."""
     sign = ti.static(1.0 if upper else -1.0)
     pair, single = s2 + s3, s1
     if ti.static(upper):
         pair, single = s1 + s2, s3
     if ti.static(dilates):
-        # The sum of both multipliers; a, b: change of a plane's F per own and per other one.
+        # The sum of both multipliers; a, b: change of a plane's F per its own and per the other multiplier.
         second = excess_over(s1, s2, sin_phi, strength)
         if ti.static(upper):
             second = excess_over(s2, s3, sin_phi, strength)
@@ -281,7 +281,7 @@ def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: 
         pair = pair - (2.0 * bulge + sign * 2.0 * shear * (1.0 + sign * sin_psi) * total)
         single = single - (bulge - sign * 2.0 * shear * (1.0 - sign * sin_psi) * total)
     else:
-        # psi = 0 keeps the mean stress, so it and F = 0 give the answer.
+        # psi = 0 preserves the mean stress; with F = 0 that determines the result.
         mean = pair + single
         single = ((1.0 + sign * sin_phi) * mean - sign * 2.0 * strength) / (3.0 - sign * sin_phi)
         pair = mean - single
@@ -290,7 +290,7 @@ def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: 
 
 @ti.func
 def on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates: ti.template()):
-    """Return to Mohr-Coulomb's pyramid alone (A), beyond its apex as if it had none; elastic states are unchanged."""
+    """Return to Mohr-Coulomb's pyramid alone (A), extended beyond its apex; elastic states are unchanged."""
     excess = maximum(excess_over(s1, s3, sin_phi, strength), 0.0)
     t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
     low, twin_high = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, True, dilates)
@@ -306,7 +306,7 @@ def on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates: ti.
 @ti.func
 def on_cutoff(s1, s2, s3, sin_phi, strength, limit, lame, shear):
     """Return where the cutoff is active, s1 > T: s2 and s3 on the cutoff alone (B) or on cutoff and plane (C)."""
-    # One stress at T relaxes the others; where s2 stays beyond T, two do; s3 beyond T then means all three.
+    # One stress at T relaxes the others; if s2 stays beyond T, two are at T; if then s3 does, all three.
     beyond = s1 - limit
     coupling = lame / (lame + 2.0 * shear)
     poisson = 0.5 * lame / (lame + shear)
@@ -341,13 +341,13 @@ def strengths_at_rate(s1, s2, s3, strengths: ti.template(), lame, shear, feature
 
 @ti.func
 def return_principal(s1, s2, s3, strengths: ti.template(), lame, shear, features: ti.template()):
-    """The stresses that Mohr-Coulomb with tension cutoff admits in place of s1 >= s2 >= s3, and then the mean stress
-    [Pa] that opening cost: K times the volume of the cracks; dilation is not counted, and 0 where nothing opened.
+    """The stresses that Mohr-Coulomb with tension cutoff admits in place of s1 >= s2 >= s3, then the mean stress [Pa]
+    lost by opening: K times the volume of the cracks, without dilation; 0 where nothing opened.
 
-    strengths: sin phi, sin psi, 2 c cos phi and T; where friction grows with the rate of shear then sin phi at very
-    high rates and I_0 dt / (d sqrt(rho_s)). Of `features` it reads `dilates`, `inertial` and `cohesive`; without the
-    last 2 c cos phi and T must be 0. It shifts stresses and brings them closer, never further apart: no difference
-    s_i - s_j grows or changes its sign.
+    strengths: sin phi, sin psi, 2 c cos phi and T; if friction grows with the shear rate, then also sin phi at very
+    high rates and I_0 dt / (d sqrt(rho_s)). Of `features` it reads `dilates`, `inertial` and `cohesive`; without
+    `cohesive`, 2 c cos phi and T must be 0. The return never moves stresses apart: no difference s_i - s_j grows or
+    changes its sign.
     """
     dilates = ti.static(features.dilates)
     sin_phi, limit = strengths_at_rate(s1, s2, s3, strengths, lame, shear, features)
@@ -365,7 +365,7 @@ def return_principal(s1, s2, s3, strengths: ti.template(), lame, shear, features
     opened = (d1 + d2 + d3) / 3.0
     if ti.static(dilates):
         # Only the hexagon's flow shortens an axis, by 1 - sin psi for every 1 + sin psi that it lengthens another; so
-        # its part of the volume is 2 sin psi / (1 - sin psi) of the plastic shortening, e_i = (d_i - share) / (2 mu).
+        # its share of the volume is 2 sin psi / (1 - sin psi) of the plastic shortening, e_i = (d_i - share) / (2 mu).
         bulk3 = 3.0 * lame + 2.0 * shear
         share = lame / bulk3 * (d1 + d2 + d3)
         shorter = maximum(share - d1, 0.0) + maximum(share - d2, 0.0) + maximum(share - d3, 0.0)
@@ -375,7 +375,7 @@ def return_principal(s1, s2, s3, strengths: ti.template(), lame, shear, features
 
 @ti.func
 def elastic_at(s: ti.template(), strengths: ti.template(), features: ti.template()):
-    """Whether nothing yields at the principal stresses `s`; without cohesion stress 0 is the apex, where all does."""
+    """Whether nothing yields at the principal stresses `s`; without cohesion zero stress, the apex, yields."""
     below = excess_over(s[0], s[2], strengths[0], strengths[2]) <= 0.0
     if ti.static(features.cohesive):
         return below & (s[0] <= strengths[3])
@@ -385,7 +385,7 @@ def elastic_at(s: ti.template(), strengths: ti.template(), features: ti.template
 
 @ti.func
 def fell_alike(s: ti.template(), t: ti.template(), strengths: ti.template(), lame, shear, features: ti.template()):
-    """Whether s1 opened and s2 and s3 alone relaxed beside it, both alike (B)."""
+    """Whether s1 opened while s2 and s3 only relaxed, both alike (B)."""
     if ti.static(features.cohesive):
         sin_phi, limit = strengths_at_rate(s[0], s[1], s[2], strengths, lame, shear, features)
         lowest = (limit * (1.0 + sin_phi) - strengths[2]) / (1.0 - sin_phi)

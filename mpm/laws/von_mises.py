@@ -4,14 +4,14 @@ The shear stress tau = sqrt(J2) is at most the strength, which grows with the pl
 
     F = tau - (s_u + H gamma_p),     J2 = s : s / 2,     gamma_p = sqrt(3) e_p,     e_p = int sqrt(2/3 de : de)
 
-s the deviator of the stress. In plane strain the strength in shear is s_u, as Tresca's; in triaxial compression the
-deviator stress is sqrt(3) s_u at yield, where Tresca's is 2 s_u. gamma_p is the plastic shear strain in simple shear.
-The return is radial, the backward Euler step in closed form (de Souza Neto, Peric & Owen 2008, box 7.4, where
+with s the deviator of the stress. In plane strain the strength in shear is s_u, as Tresca's; in triaxial compression
+the deviator stress is sqrt(3) s_u at yield, where Tresca's is 2 s_u. gamma_p is the plastic shear strain in simple
+shear. The return is radial, the backward Euler step in closed form (de Souza Neto, Peric & Owen 2008, box 7.4, where
 sigma_y = sqrt(3) (s_u + H gamma_p), so their hardening modulus is 3 H):
 
     dgamma = max(0, tau_trial - s_u - H gamma_p) / (G + H),     s = (1 - G dgamma / tau_trial) s_trial
 
-and the mean stress stays. It does not open, so that nothing of cracks or gaps is compiled beside it.
+and the mean stress stays. The law does not open: no code for cracks or gaps is compiled with it.
 
 | symbol | variable |
 |---|---|
@@ -54,14 +54,14 @@ class Parameters(Record):
 
 
 class Column(IntEnum):
-    """What the law knows of a particle."""
+    """The properties of a particle for the law."""
 
     STRENGTH = len(Property)  # s_u [Pa]
-    HARDENING = auto()  # H [Pa]; only where there is one
+    HARDENING = auto()  # H [Pa]; only with hardening
 
 
 def features(materials: Sequence[Material], stages: Sequence[Stage]) -> dict[str, bool]:
-    """Strength without pressure; with hardening the plastic strain, too."""
+    """Strength at zero pressure; with hardening also the plastic strain."""
     return {"cohesive": True, "softens": any(parameters_of(material).hardening for material in materials)}
 
 
@@ -90,13 +90,13 @@ def limit(rows: Floats) -> Floats:
 
 
 def admitted_share(mean: Floats, deviators: Floats, rows: Floats) -> Floats:
-    """By which factor a deviator is admitted, shape [N]; principal values [Pa], shape [N, 3]."""
+    """The factor by which a deviator is admitted, shape [N]; principal values [Pa], shape [N, 3]."""
     tau = np.sqrt(0.5 * (deviators**2).sum(axis=1))
     return np.divide(rows[:, Column.STRENGTH], tau, out=np.full_like(tau, np.inf), where=tau > 0.0)
 
 
 def nearest(principal: Floats, rows: Floats) -> Floats:
-    """The admitted principal stresses [Pa] next to given ones, shape [N, 3]."""
+    """The admitted principal stresses [Pa] nearest to given ones, shape [N, 3]."""
     mean = principal.mean(axis=1, keepdims=True)
     share = np.minimum(admitted_share(mean[:, 0], principal - mean, rows), 1.0)
     return mean + share[:, None] * (principal - mean)
@@ -104,7 +104,7 @@ def nearest(principal: Floats, rows: Floats) -> Floats:
 
 @ti.func
 def strengths(values: ti.template(), strain: ti.template(), cell, dt, features: ti.template()):
-    """The strength at the start of a step [Pa] and H [Pa], of s_u, H and, where it hardens, the plastic strain e_p."""
+    """The strength at the start of a step [Pa] and H [Pa], from s_u, H and, with hardening, the plastic strain e_p."""
     if ti.static(features.softens):
         return values[0] + values[1] * (3.0**0.5 * strain[0]), values[1]
     else:
@@ -113,7 +113,7 @@ def strengths(values: ti.template(), strain: ti.template(), cell, dt, features: 
 
 @ti.func
 def return_tensor(trial: ti.template(), strengths: ti.template(), lame, shear, features: ti.template()):
-    """The admitted stress [Pa], component by component, the increment of e_p [-], and that nothing opened."""
+    """The admitted stress [Pa], component by component, the increment of e_p [-], and an opening of zero."""
     strength, hardening = strengths
     mean = (trial[0] + trial[1] + trial[2]) / 3.0
     xx, yy, zz = trial[0] - mean, trial[1] - mean, trial[2] - mean

@@ -1,1 +1,1 @@
-"""What is recorded of a run: frames on request, forces, rest, a state to go on from, a summary."""
+"""The records of a run: requested frames, forces, rest, a state to continue from, a summary."""

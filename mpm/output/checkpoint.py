@@ -1,4 +1,4 @@
-"""The state of a run that was interrupted, from which it goes on, the same to the bit."""
+"""The state of an interrupted run, from which it continues with the same result to the bit."""
 
 import dataclasses
 import json
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 WHAT = "a checkpoint of this version of Talus; delete the file to begin anew"
 SCALARS: dict[str, Callable[[Any], Any]] = {"run": str, "frame": int, "steps": int, "wall_s": float}
-"""What a checkpoint holds besides arrays, and of which type."""
+"""Content of a checkpoint besides arrays, with its types."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint:
-    """A run of one scene up to a frame, in the precision of the solver, with all that it has recorded so far."""
+    """A run of one scene up to a frame, in the precision of the solver, with all records so far."""
 
     run: str  # scene, recording and precision: `described`
     frame: int  # the last frame that was computed
-    steps: int  # so far
-    wall_s: float  # what all parts of the run have taken so far [s]
-    arrays: dict[str, NDArray[Any]]  # what `arrays_of` lists
+    steps: int  # steps so far
+    wall_s: float  # time of all parts of the run so far [s]
+    arrays: dict[str, NDArray[Any]]  # those of `arrays_of`
 
     @staticmethod
     def from_batch(batch: "Batch", *, wall_s: float) -> "Checkpoint":
@@ -43,9 +43,9 @@ class Checkpoint:
         return Checkpoint(run=run, frame=frame, steps=steps, wall_s=wall_s, arrays=arrays)
 
     def restore(self, batch: "Batch") -> None:
-        """Bring a batch of one scene, as it is at its start, to where this run ended.
+        """Bring a batch of one scene from its start to the end of this run.
 
-        Raises InputError where the run is one of another scene, recording or precision.
+        Raises InputError if the run belongs to another scene, recording or precision.
         """
         if self.run != described(batch.scenes[0], batch.recording, batch.features.precision):
             raise InputError("expected the run of the checkpoint, got another scene, recording or precision")
@@ -55,7 +55,7 @@ class Checkpoint:
                 raise InputError(f"expected {WHAT}", key=key)
             part[...] = array
         if batch.file is not None:
-            # Where the first frame is kept, it is in the file already.
+            # If the first frame is kept, it is already in the file.
             kept = sum(number <= self.frame for number in batch.kept(0))
             for number in range(batch.recording.every > 0, kept):
                 batch.file.append(positions=self.arrays["positions"][number][None])
@@ -77,15 +77,15 @@ class Checkpoint:
 
 
 def described(scene: Scene, recording: Recording, precision: Precision) -> str:
-    """What decides the result of a run, as JSON."""
+    """All that determines the result of a run, as JSON."""
     return json.dumps([scene.to_json(), dataclasses.asdict(recording), precision])
 
 
 def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
-    """What a batch of one scene holds after `frame`; views.
+    """The content of a batch of one scene after `frame`; views.
 
-    The particles in the order of memory, which particle lies in which lane, and what was recorded up to the frame;
-    shapes as in `mpm.arrays.batch.Batch`.
+    These are the particles in the order of memory, the particle in each lane, and the records up to the frame; shapes
+    as in `mpm.arrays.batch.Batch`.
     """
     solids, first = int(batch.offsets[0, Offset.SOLIDS]), int(batch.offsets[0, Offset.IMPULSE])
     kept, impulse = sum(number <= frame for number in batch.kept(0)), batch.recorded_impulse[first:]
@@ -98,6 +98,6 @@ def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
         "settling": batch.settling,
         **({"staged": batch.staged} if batch.scenes[0].stages else {}),
         **({"inflows": batch.inflows} if batch.features.inflow else {}),
-        # Those in a file stay there.
+        # Records in a file stay there.
         **({name: series[:kept] for name, series in batch.record[0].items()} if batch.file is None else {}),
     }

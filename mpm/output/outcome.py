@@ -1,4 +1,4 @@
-"""The result of a scene of a batch: its trajectory with a summary, or why there is none."""
+"""The result of a scene of a batch: its trajectory with a summary, or the reason why there is none."""
 
 import math
 from collections.abc import Mapping
@@ -23,20 +23,20 @@ from mpm.runtime import Arch
 
 Floats = NDArray[np.floating]
 
-MOVING = "not at rest"  # how the remark on a flow that still moves at its end begins
-AT_REST = 1e-3  # kinetic energy of a deposit at rest, over its largest, at most
-SLOW = 2e-3  # root mean square speed below which nothing moves, over sqrt(g H), H the height of the body at the start
-SHARE = 0.005  # of the particles: what is beyond the front
-NEAR = 2.0  # cells from a wall: sand against it comes to lie a part of a cell off, its tongue is a layer of particles
+MOVING = "not at rest"  # first words of the remark on a flow that still moves at its end
+AT_REST = 1e-3  # largest kinetic energy of a deposit at rest, over its maximum in time
+SLOW = 2e-3  # rms speed over sqrt(g H) below which nothing moves, H the initial height of the body
+SHARE = 0.005  # share of the particles beyond the front
+NEAR = 2.0  # cells from a wall: sand against it lies a part of a cell off, and its tongue is a layer of particles
 FEWEST_CELLS = 3.0  # cells across a body or a layer
 
 
 def failure(batch: Batch, index: int) -> WorkFailed | None:
-    """Why scene `index` of a batch blew up, in one line; None where it did not.
+    """Why scene `index` of a batch blew up, in one line; None if it did not.
 
-    A particle faster than RUNAWAY times the wave speed ends a scene. Where gravity and the initial velocities can make
-    it that fast, v^2 <= v_0^2 + 2 sum_k |g_k| L_k in a box of lengths L, that is the flow itself, and the material is
-    too soft for it; where they cannot, or where there is no number, the integration was unstable.
+    A particle faster than RUNAWAY times the wave speed ends a scene. If gravity and the initial velocities can make it
+    that fast, v^2 <= v_0^2 + 2 sum_k |g_k| L_k in a box of lengths L, the flow itself is too fast for so soft a
+    material; if they cannot, or if the speed is not a number, the integration was unstable.
     """
     scene, features, particles = batch.scenes[index], batch.features, batch.particles[index]
     frames = int(batch.offsets[index, Offset.FRAMES])
@@ -62,7 +62,7 @@ def failure(batch: Batch, index: int) -> WorkFailed | None:
 
 
 def fastest(velocities: Floats) -> float:
-    """The largest speed [m/s] of velocities [N, D]; nan where one is."""
+    """The largest speed [m/s] of velocities [N, D]; nan if one is nan."""
     return float(np.linalg.norm(velocities.astype(np.float64), axis=1).max())
 
 
@@ -72,7 +72,7 @@ def outflow(batch: Batch, index: int) -> dict[str, float]:
     order, (present,) = batch.order_of(index), batch.numbers(index, features.state.present, 1)
     mass = (particles.density * particles.volume)[order]
     removed = present == 0.0
-    # Through the side that it lies farthest beyond.
+    # A particle left through the side that it lies farthest beyond.
     beyond = np.full((len(DOMAIN_SIDES), len(order)), -np.inf)
     for side in scene.open_sides:
         axis, upper = "xyz".index(side[0]), side[1] == "+"
@@ -83,10 +83,10 @@ def outflow(batch: Batch, index: int) -> dict[str, float]:
 
 
 def fields_of(batch: Batch, index: int) -> dict[str, Any]:
-    """The fields of scene `index` where they were asked for, by the names of `datasets.flow.trajectory.Trajectory`."""
+    """The requested fields of scene `index`, by the names of `datasets.flow.trajectory.Trajectory`."""
     fields: dict[str, Any] = {name: values for name, values in batch.record[index].items() if name != "positions"}
     if "pore_pressure" in fields:
-        # Below zero it says how far water has to go before it presses again.
+        # A negative value measures the opening that must close before water presses again.
         fields["pore_pressure"] = np.maximum(fields["pore_pressure"], 0.0)
     if "stress" in fields:
         volume, scene = batch.particles[index].volume, batch.scenes[index]
@@ -96,16 +96,16 @@ def fields_of(batch: Batch, index: int) -> dict[str, Any]:
 
 
 def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory | WorkFailed:
-    """What scene `index` did; the frames after it came to rest are filled with the last one that was computed.
+    """The trajectory of scene `index`; the frames after it came to rest repeat the last computed one.
 
-    Its summary: lengths in metres; `step_limit`, what set the time step, "waves" of `wave_speed` [m/s] or in some
-    frames the speed of the "flow"; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
-    scene; `rest_time` [s], when the deposit came to rest, where the run may end there, and `end_time` [s], until when
-    it was computed; `release_time` [s], when each mass was let go, where barriers hold one, None where it still is;
-    `stage_time` [s], when each stage began, None where it did not; where asked for the momentum that the sides of the
-    box and the barriers have taken up to each frame [N s], `side_impulse` of each and their sum `wall_impulse`;
-    `outflow` [kg] through each open side; `drainage`, in words, where water fills pores; `wall_s` of all scenes that
-    ran together, compilation apart.
+    Its summary holds lengths in metres; `step_limit`, which sets the time step: "waves" of `wave_speed` [m/s] or, in
+    some frames, the speed of the "flow"; `energy` [J, in 2D per metre of width], a series over all frames of the scene;
+    `rest_time` [s], when the deposit came to rest, if the run may end there, and `end_time` [s], up to which it was
+    computed; with barriers `release_time` [s], when each mass was released, None if it is still held; `stage_time` [s],
+    when each stage began, None if it did not; if asked for, the momentum that the sides of the box and the barriers
+    have taken up to each frame [N s], `side_impulse` of each and their sum `wall_impulse`; `outflow` [kg] through each
+    open side; `drainage`, in words, if water fills pores; `wall_s` of all scenes that ran together, without
+    compilation.
     """
     if (failed := failure(batch, index)) is not None:
         return failed
@@ -120,7 +120,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
                 batch.store(index, slot)
     positions, fields = batch.recorded(index), fields_of(batch, index)
     if len(batch.scenes) > 1:
-        # What one trajectory holds must not keep the record of all others in memory.
+        # One trajectory must not keep the records of all others in memory.
         positions, fields = positions.copy(), {name: values.copy() for name, values in fields.items()}
     began = rest - int(offset[Offset.WINDOW]) + 1
     deposit, kinds = positions[-1], (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
@@ -172,14 +172,14 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
 
 
 def still_moves(summary: Mapping[str, Any]) -> bool:
-    """Whether a flow had not come to rest at its end, by its summary."""
+    """Whether a flow was not at rest at its end, according to its summary."""
     return any(line.startswith(MOVING) for line in summary.get("remarks", []))
 
 
 def caveats(
     scene: Scene, particles: Particles, deposit: Floats, *, kinetic: Floats, end_time: float, outflow: dict[str, float]
 ) -> list[str]:
-    """Lines on a flow of `particles`, none where all is well.
+    """Remarks on a flow of `particles`, one per line; none if all is well.
 
     deposit: positions at the end [m], shape [N, D]; kinetic: energy of every frame [J], shape [T]; end_time: until when
     the flow was computed [s]; outflow: mass that left through each open side [kg]. In 2D both are per metre of width.
@@ -198,7 +198,7 @@ def caveats(
         near = [float(np.mean(np.abs(each[:, axis] - wall) < close)) for each in (start, deposit)]
         if not near[0] and near[1] > SHARE:
             share = f"{near[1]:.2g} of the particles"
-            lines.append(f"the side {side} of the box holds {share}, which would have spread further")
+            lines.append(f"side {side} of the box stops {share}, which would have spread further")
     for side, left in outflow.items():
         if left > 0.0:
             lines.append(f"{left / mass:.2g} of the mass left the box through its open side {side}")

@@ -1,4 +1,4 @@
-"""What is recorded of a scene at the end of a frame; the steps of the next frame; detection of rest."""
+"""The records of a scene at the end of a frame; the steps of the next frame; detection of rest."""
 
 import taichi as ti
 
@@ -22,9 +22,9 @@ def last_block(scene, arrays: ti.template()):
 
 @ti.func
 def steps_of_frame(scene, arrays: ti.template()):
-    """The scene's usual number of steps, more where particles move so fast that a step would leave the stable range.
+    """The scene's usual number of steps; more if particles are so fast that a step would be unstable.
 
-    0 where a particle outruns the elastic wave many times over: that is no longer physics, and the scene ends.
+    0 if a particle is many times faster than the elastic wave: that is unphysical, and the scene ends.
     """
     fastest = 0.0 * arrays.state[arrays.offsets[scene, Offset.BLOCK] * arrays.features.state.size]
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
@@ -34,7 +34,7 @@ def steps_of_frame(scene, arrays: ti.template()):
 
 @ti.func
 def squared_speed(block, arrays: ti.template()):
-    """|v|^2 [m^2/s^2] of each lane, huge where it is not a number: a comparison with NaN is false."""
+    """|v|^2 [m^2/s^2] of each lane; a huge number in place of NaN, with which comparisons are false."""
     first = block * arrays.features.state.size + arrays.features.state.velocity
     velocity = vectors(arrays.state, first, arrays.features.dimension)
     square = dot(velocity, velocity)
@@ -55,7 +55,7 @@ def steps_at_speed(scene, speed, arrays: ti.template()):
 
 @ti.func
 def record_frame(scene, frame, arrays: ti.template()):
-    """Record a frame of a scene: what its particles carry, its energies, what solids have taken, whether it rests."""
+    """Record a frame of a scene: its particles, its energies, the impulses of solids, and whether it rests."""
     sums = ti.Vector.zero(ti.f64, ti.static(len(Energy)))
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
         sums += record_block(scene, frame, block, arrays)
@@ -65,7 +65,7 @@ def record_frame(scene, frame, arrays: ti.template()):
 
 @ti.func
 def add_energies(scene, frame, sums, arrays: ti.template()):
-    """Add what `record_block` found of some blocks to the energies of a frame."""
+    """Add the results of `record_block` for some blocks to the energies of a frame."""
     line = (frame + arrays.offsets[scene, Offset.ENERGY]) * ti.static(len(Energy))
     for kind in ti.static(range(len(Energy))):
         add(arrays.energy, line + kind, sums[kind], arrays)
@@ -73,7 +73,7 @@ def add_energies(scene, frame, sums, arrays: ti.template()):
 
 @ti.func
 def record_scene(scene, frame, arrays: ti.template()):
-    """Record what solids have taken in a frame whose particles are recorded, and whether it was the last one."""
+    """Record the impulses of solids in a frame whose particles are recorded, and whether it was the last frame."""
     if ti.static(arrays.features.impulses):
         record_impulses(scene, frame, arrays)
     if ti.static(arrays.features.barriers):
@@ -86,11 +86,11 @@ def record_scene(scene, frame, arrays: ti.template()):
 
 @ti.func
 def record_block(scene, frame, block, arrays: ti.template()):
-    """Energies of the particles of a block, as `Energy` lists them; positions are recorded where every frame is kept.
+    """Energies of the particles of a block, in the order of `Energy`; records positions if every frame is kept.
 
-    Kinetic energy is that of the particles and of the affine motion around them, m C : C dx^2 / 8, which APIC carries
-    too; elastic energy V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E). Where the scene may rest also the
-    unbalanced force over the weight, sum m |v - v of the frame before| / (dt_frame M g).
+    Kinetic energy includes the affine motion around the particles, m C : C dx^2 / 8, which APIC also carries; elastic
+    energy is V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E). If the scene may end at rest, also the unbalanced
+    force over the weight, sum m |v - v of the frame before| / (dt_frame M g).
     """
     features = arrays.features
     volume, dx = property_of(scene, block, Property.VOLUME, arrays), arrays.settings[scene, Setting.CELL]
@@ -138,7 +138,7 @@ def record_block(scene, frame, block, arrays: ti.template()):
 
 @ti.func
 def record_impulses(scene, frame, arrays: ti.template()):
-    """Record the momentum that each solid took in this frame, and count from zero again."""
+    """Record the momentum that each solid took in this frame, and reset it to zero."""
     features = arrays.features
     count = arrays.offsets[scene, Offset.SOLIDS]
     line = arrays.offsets[scene, Offset.IMPULSE] + frame * count
@@ -153,7 +153,7 @@ def record_impulses(scene, frame, arrays: ti.template()):
 
 @ti.func
 def detect_rest(scene, frame, arrays: ti.template()):
-    """Set the frame of rest where a deposit without barriers rested over a window (`mpm.output.recording`)."""
+    """Set the frame of rest if a deposit without barriers was at rest over a window (`mpm.output.recording`)."""
     line, window = arrays.offsets[scene, Offset.ENERGY], arrays.offsets[scene, Offset.WINDOW]
     since = 0
     if ti.static(arrays.features.barriers):

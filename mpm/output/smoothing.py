@@ -1,14 +1,13 @@
-"""Fields of particles through the grid: stress and pressure without their noise.
+"""Smoothing of particle fields through the grid: stress and pressure without their noise.
 
-The stress that particles carry scatters from one to its neighbours by as much as it is, because a quadratic spline does
-not tell every arrangement of particles apart: what a cell's particles carry in sum moves the nodes, how they share it
-does not. Fields on the grid are smooth. With w_ip the quadratic B-spline weight of node i at particle p and V_p its
-volume,
+The stress of neighbouring particles scatters by as much as its mean, because a quadratic spline cannot distinguish
+every arrangement of particles: the sum over a cell's particles moves the nodes, its distribution among them does not.
+Fields on the grid are smooth. With w_ip the quadratic B-spline weight of node i at particle p and V_p its volume,
 
     a_i  = sum_p w_ip V_p a_p / sum_p w_ip V_p          (particles to nodes)
     a_p' = sum_i w_ip a_i                               (and back)
 
-which keeps constant fields as they are, and the volume integral of any: sum_p V_p a_p' = sum_i (sum_p w_ip V_p) a_i =
+which preserves constant fields, and the volume integral of any field: sum_p V_p a_p' = sum_i (sum_p w_ip V_p) a_i =
 sum_p V_p a_p. It is applied PASSES times.
 """
 
@@ -21,13 +20,13 @@ from scipy import sparse
 from datasets.scene import Scene
 from mpm.arrays.layout import PADDING, node_shape
 
-PASSES = 2  # how often stress and pressure go through the grid
+PASSES = 2  # how often stress and pressure are smoothed
 
 Floats = NDArray[np.floating]
 
 
 def support(scene: Scene, positions: Floats) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Of the 3^D nodes in the support of each of N particles at `positions` [m], shape [N, D], by quadratic B-splines:
+    """For the 3^D nodes in the support of each of N particles at `positions` [m], shape [N, D], by quadratic B-splines:
 
     numbers in the flat grid and weights w_ip, shape [N, 3^D], and x_i - x_p [cells], shape [N, 3^D, D].
     """
@@ -54,7 +53,7 @@ def weights(positions: Floats, scene: Scene) -> sparse.csr_array:
 
 
 def smoothed(values: Floats, positions: Floats, volume: float | Floats, scene: Scene) -> NDArray[np.float32]:
-    """Fields of frames, shape [T, N] or [T, N, K], sent through the grid; the same shape.
+    """Fields of frames, shape [T, N] or [T, N, K], smoothed through the grid; the same shape.
 
     positions: [m], shape [T, N, D]; volume: of each particle [m^D], one for all or shape [N].
     """

@@ -5,15 +5,15 @@ to be released when "settled" is damped meanwhile, at the nodes in its box:
 
     v_i = exp(-2 omega dt) v_i,   omega = pi c / (2 H)
 
-with omega the lowest frequency at which a layer of height H on a rigid floor swings (c: speed of its pressure wave), so
-that this mode is damped critically. It has settled when in two frames in a row its kinetic energy is at most ENERGY of
-that of the whole mass at the speed g H / c, which gravity gives it in one passage of the wave, and its momentum changes
-by at most FORCE of its weight times the frame. All of it is decided where frames are recorded; scenes where no mass is
-held compile none of it.
+with omega the lowest natural frequency of a layer of height H on a rigid floor (c: its pressure-wave speed), so that
+this mode is critically damped. The mass has settled when two conditions hold in two frames in a row: its kinetic energy
+is at most ENERGY times that of the whole mass at the speed g H / c, which gravity gives it in one passage of the wave,
+and its momentum changes by at most FORCE of its weight times the frame. This is decided where frames are recorded;
+scenes without held masses compile none of it.
 
-Barriers without a gate are gone when they open. A gate rises with the speed v (1 - exp(-t / tau)): at the time t after
-that its foot is z(t) = v (t - tau (1 - exp(-t / tau))) above that of the mass, and the barriers hold the nodes above
-it. It is smooth like them, and moves once a frame, by its place in the middle of the next one.
+Barriers without a gate disappear when they open. A gate rises with the speed v (1 - exp(-t / tau)): at the time t after
+opening its foot is z(t) = v (t - tau (1 - exp(-t / tau))) above that of the mass, and the barriers hold the nodes above
+it. A gate is smooth like the barriers and moves once per frame, to its place in the middle of the next frame.
 """
 
 import taichi as ti
@@ -24,7 +24,7 @@ from mpm.physics.transfer import particles_in
 
 ENERGY = 1.0e-6  # kinetic energy of a settled mass over that at the speed g H / c: a thousandth of this speed
 FORCE = 1.0e-3  # change of momentum of a settled mass in a frame over its weight times the frame
-SETTLED_FRAMES = 2  # frames in a row in which a mass must be settled
+SETTLED_FRAMES = 2  # frames in a row in which a mass must fulfil both
 NEVER = 1 << 30  # frame that no scene has
 
 
@@ -78,7 +78,7 @@ def measure_retained(scene, block, arrays: ti.template()):
 
 @ti.func
 def open_barriers(scene, frame, arrays: ti.template()):
-    """Open the barriers of the masses whose time has come in `frame`, which is recorded, or that have settled."""
+    """Open the barriers of masses whose release time is in the recorded `frame`, or that have settled."""
     first = arrays.offsets[scene, Offset.RETAINED]
     for line in range(first, first + arrays.offsets[scene, Offset.RETAINED_COUNT]):
         if arrays.retained[line, Retained.OPENED] == 0:
@@ -119,7 +119,7 @@ def raise_gate(scene, line, frame, arrays: ti.template()):
 
 @ti.func
 def free_since(scene, arrays: ti.template()):
-    """The frame since which no mass of a scene is held; NEVER while one is."""
+    """The frame since which no mass of a scene is held; NEVER while one is held."""
     latest = 0
     first = arrays.offsets[scene, Offset.RETAINED]
     for line in range(first, first + arrays.offsets[scene, Offset.RETAINED_COUNT]):

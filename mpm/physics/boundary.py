@@ -1,11 +1,11 @@
 """Rigid walls of the box: no flow through them, Coulomb friction along them; a side may be open instead.
 
-A node on or beyond a wall that moves into it by v_n loses v_n, and of its tangential velocity at most mu v_n
-(Bardenhagen et al. 2000, eq. 18): an impulse balance, so no step size appears in it. On an edge all walls stop it
-before any rubs: what presses on one is no sliding along the other. Water presses on a wall by a traction of its own
-(`mpm.physics.pore_pressure`), so that v_n is what grains press. It is the contact of `mpm.physics.contact` where the
-surface lies on the nodes, at the price of a comparison. Where a solid covers a wall, under a terrain or behind a
-lining, there is no wall: its nodes are the solid's (`mpm.solids.obstacles`).
+A node on or beyond a wall that moves into it with v_n loses v_n, and at most mu v_n of its tangential velocity
+(Bardenhagen et al. 2000, eq. 18): an impulse balance, without a step size. On an edge all walls stop the node before
+friction acts, since motion into one wall is no sliding along the other. Water presses on a wall with its own traction
+(`mpm.physics.pore_pressure`), so that v_n comes from the grains alone. This equals the contact of `mpm.physics.contact`
+for a surface on the nodes, at the cost of a comparison. A wall covered by a solid, under a terrain or behind a lining,
+does not act: its nodes belong to the solid (`mpm.solids.obstacles`).
 """
 
 import taichi as ti
@@ -18,7 +18,7 @@ from mpm.solids.terrain import column_height
 
 @ti.func
 def with_friction(v, limit):
-    """Velocity `v` along a surface less what friction takes of it, at most `limit` [m/s]."""
+    """Velocity `v` along a surface after friction, which takes at most `limit` [m/s]."""
     speed, keep = v.norm(), 0.0
     if speed > limit:
         keep = 1.0 - limit / speed
@@ -27,7 +27,7 @@ def with_friction(v, limit):
 
 @ti.func
 def after_contact(v, normal, friction):
-    """Velocity `v` after a surface with the unit `normal`, into which it points, has stopped it; shape [D] each."""
+    """Velocity `v`, which points into a surface with the unit `normal`, after contact with it; shape [D] each."""
     into = v.dot(normal)
     return with_friction(v - into * normal, 0.0 - friction * into)
 
@@ -41,8 +41,8 @@ def contact_delta(d, width):
 
 @ti.func
 def apply_walls(v, node, cells, axes: ti.template(), mass, worker, scene, arrays: ti.template()):
-    """Velocity `v` [m/s] of the node `node` of `mass` [kg] once the walls of a box of `cells` have stopped it and those
-    across the first `axes` have rubbed on it; v, node, cells: [D].
+    """Velocity `v` [m/s] of the node `node` of `mass` [kg] after the walls of a box of `cells` have stopped it, with
+    the friction of the walls across the first `axes`; v, node, cells: [D].
     """
     features, along = arrays.features, v
     for axis in ti.static(range(features.dimension)):
@@ -62,7 +62,7 @@ def apply_walls(v, node, cells, axes: ti.template(), mass, worker, scene, arrays
 
 @ti.func
 def stopping_side(v, node, cells, axis: ti.template(), scene, arrays: ti.template()):
-    """The side of the box across `axis` that stops velocity `v` at the node `node`, 0 to 2 D - 1; -1: none does."""
+    """The side of the box across `axis`, 0 to 2 D - 1, that stops velocity `v` at the node `node`; -1 if none does."""
     side = -1
     if node[axis] <= PADDING and v[axis] < 0.0:
         side = 2 * axis
@@ -110,9 +110,9 @@ def is_covered(side, node, scene, arrays: ti.template()):
 
 @ti.func
 def in_terrain_beyond(side, node, scene, arrays: ti.template()):
-    """1 where a side of the box lies in the bed of a terrain, at a node beyond it and a cell around that, else 0.
+    """1 where a side of the box lies in the bed of a terrain, at a node beyond the side and one cell around it, else 0.
 
-    Of an upright side the highest of the places around the node decides.
+    For an upright side, the highest of the places around the node decides.
     """
     result, axis, cell = 1, side // 2, arrays.settings[scene, Setting.CELL]
     wall = PADDING + arrays.offsets[scene, Offset.CELLS_X + axis] * (side % 2)
@@ -133,7 +133,7 @@ def in_terrain_beyond(side, node, scene, arrays: ti.template()):
 
 @ti.func
 def add_impulse(solid, momentum, lane, worker, arrays: ti.template()):
-    """Add `momentum` [N s], [D], to what a solid has taken; behind these stand the box's sides and the barriers."""
+    """Add `momentum` [N s], [D], to the impulse of a solid; the sides of the box and the barriers follow the solids."""
     features = arrays.features
     at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
     for k in ti.static(range(features.dimension)):

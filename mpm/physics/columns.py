@@ -1,13 +1,13 @@
-"""The columns of the background grid: nodes are held only where material is.
+"""The columns of the background grid: only nodes near material are in memory.
 
-A column is a line of nodes along y, over one place (x, z) of the box. Those in use lie one after the other in the part
-of `grid` that a worker has, each over the range [low, high) of j that the particles near it need. `bases` has for every
-place of the box where node 0 of its column would lie, so that node j is number base + j. Memory and time thus follow
-the material, whatever the size of the box.
+A column is a line of nodes along y at one place (x, z) of the box. The columns in use lie one after the other in a
+worker's part of `grid`, each over the range [low, high) of j that the particles near it need. For every place of the
+box, `bases` holds the number that node 0 of its column would have, so that node j has the number base + j. Memory and
+time thus depend on the material, not on the size of the box.
 
-A particle in cell c gives to nodes c - 1 to c + 2 along each axis as long as it moves by less than half a cell. Columns
-hold these nodes; they are made anew once the largest displacements of the steps since then add up to MARGIN, and at the
-start of each call of the kernel, before which particles may have been sorted.
+A particle in cell c contributes to nodes c - 1 to c + 2 along each axis while it moves by less than half a cell.
+Columns hold these nodes. They are rebuilt once the largest displacements of the steps since then add up to MARGIN, and
+at the start of each call of the kernel, before which particles may have been sorted.
 """
 
 import taichi as ti
@@ -16,8 +16,8 @@ from mpm.arrays.access import clamp, columns_deep, no_overflow
 from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset, Setting, Span, Worker
 from mpm.solids.face_lookup import entry_of, holds_of_node
 
-MARGIN = 0.49  # cells that particles may move before columns are made anew: half a cell, less rounding in f32
-OUTDATED = 1.0  # cells that stand for columns that have to be made anew
+MARGIN = 0.49  # cells that particles may move before columns are rebuilt: half a cell, less rounding in f32
+OUTDATED = 1.0  # value of that displacement that forces a rebuild
 
 
 @ti.func
@@ -59,9 +59,9 @@ def make_columns(worker, scene, arrays: ti.template()):
 
 @ti.func
 def find_cells(worker, scene, first, deep, arrays: ti.template()):
-    """List the columns of cells that hold particles of a worker, with the range of these cells; how many they are.
+    """List the columns of cells that hold particles of a worker, with the range of these cells; return their number.
 
-    Lanes that mirror a particle count: they follow the grid, too.
+    Lanes that mirror a particle count, because they follow the grid, too.
     """
     features, lanes = arrays.features, arrays.features.lanes
     scratch, occupied = arrays.workers[worker, Worker.SCRATCH], 0
@@ -69,7 +69,7 @@ def find_cells(worker, scene, first, deep, arrays: ti.template()):
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         for k in ti.static(range(features.dimension)):
             f = arrays.state[no_overflow(block * features.state.size) + k] * per_dx + PADDING
-            # What has left through an open side stays where it is, without mass.
+            # A particle that has left through an open side stays where it is, without mass.
             last = ti.cast(arrays.offsets[scene, Offset.CELLS_X + k] + (2 * PADDING - 2), float)
             arrays.scratch[scratch + features.scratch.lowest + k] = clamp(ti.floor(f), 1.0, last)
         for lane in range(lanes):

@@ -1,27 +1,27 @@
-"""Contact with everything solid that is not a wall of the box: baffles, ground, obstacles; their union has one surface.
+"""Contact with all solids except the walls of the box: baffles, ground, obstacles; their union has one surface.
 
-The reasons are in docs/theory/contact.md. n is the normal out of the solid, d the distance of a particle from it, h a
-cell (`mpm.arrays.properties.CONTACT_WIDTH`): at half a cell particles close to a face are so stiff that a step of 0.9
-is unstable.
+The reasons are in docs/theory/contact.md. n is the normal out of the solid, d the distance of a particle from it, h one
+cell (`mpm.arrays.properties.CONTACT_WIDTH`): with half a cell, particles close to a face are so stiff that a step of
+0.9 is unstable.
 
 **Kinematics.** The velocity jumps to zero at the surface; its gradient there, v n times a delta, strains the particle:
 
     L_p = C_p + delta_h(d_p) (n . v_f) n n^T,    v_f = sum_i w_ip v_i* - d_p C_p n
     delta_h(d) = (2 / h) (1 - 3 q^2 + 2 q^3),    q = d / h in [0, 1];    its integral over d is 1
 
-Sand that leaves a surface, n . v_f > 0, is strained in a step by (-sigma_nn)_+ / M at most, with the modulus
-M = lambda + 2 mu of uniaxial strain: until it presses on the surface no longer. That is continuous in sigma_nn; by the
-sign of sigma_nn alone rounding would decide, where particles bear nothing.
+Sand that leaves a surface, n . v_f > 0, is strained in a step by at most (-sigma_nn)_+ / M, with the constrained
+modulus M = lambda + 2 mu: until it no longer presses on the surface. This is continuous in sigma_nn; with a switch at
+the sign of sigma_nn, rounding would decide for particles that carry no stress.
 
-**Forces.** The traction t = -sigma_nn n + q of the surface, whose normal part pushes and never pulls, does its work on
-v_f. By virtual power (Nitsche 1971; Peskin 2002, section 6) a particle gives to a node
+**Forces.** The traction t = -sigma_nn n + q of the surface, whose normal part pushes and never pulls, does work on v_f.
+By virtual power (Nitsche 1971; Peskin 2002, section 6) a particle contributes to a node
 
     f_ip = w_ip V0 [delta t - (4 / dx^2) (sigma + delta d t n^T) x_ip]
 
 **Friction.** The shear traction q is elastic until it slips, dq/dt = -mu_s delta (v_f - n (n . v_f)) with the sand's
 shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma_nn) (Cundall & Strack 1979).
 
-**Turbulence.** A solid with a coefficient xi [m/s^2] brakes with the square of the speed besides (Voellmy 1955; Salm
+**Turbulence.** A solid with a coefficient xi [m/s^2] also brakes with the square of the speed (Voellmy 1955; Salm
 1993). With the particle's density rho and v_t = v_f - n (n . v_f),
 
     |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / (xi I),    I = 2 e (1 - 7/2 D^2 + 3 D^3),    D <= e / 2
@@ -29,14 +29,14 @@ shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma
     D_p = sum_i w_ip H_i / sum_i w_ip m_i,    H_i = sum_p w_ip m_p min(d_p / h, 1)
 
 I is the integral of delta over a layer of e widths whose mean distance from the bed is D, so that a thin layer feels
-the whole drag; G(0) = 11/20 is what a thin sheet gives to itself over the grid, per cell of thickness. Below
-e = THINNEST it fades: a lone grain on the bed has no thickness. It acts on all that is within the width of the contact,
-whether it presses at the moment or not. The holds of deep nodes and the stop of a particle that meets a face take mu of
-an impulse alone: the delta gives all of the drag.
+the whole drag; G(0) = 11/20 is the phi that a thin sheet finds for itself on the grid, per cell of thickness. Below e =
+THINNEST the drag fades: a single grain on the bed has no thickness. The drag acts on all particles within the width of
+the contact, whether or not they press at that moment. Deep nodes and particles stopped at a face have only Coulomb
+friction, mu times the impulse: delta already gives the whole drag.
 
-**Deep nodes.** A node deep in a solid is in the support of the first row alone, which could not keep it in balance.
-It is held like a node behind a wall of the box (`mpm.physics.boundary`), by each face k that it lies behind in part:
-v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares: `mpm.solids.obstacles`).
+**Deep nodes.** A node deep in a solid is in the support of only the first row of particles, which cannot balance it. It
+is held like a node behind a wall of the box (`mpm.physics.boundary`), partly by each face k that it lies behind: v <- v
+- sum_k share_k (v - A_k v), with A_k v the velocity that face k admits (`mpm.solids.obstacles`).
 
 **Position.** No particle passes a face: see `mpm.physics.contact_search`.
 """
@@ -50,14 +50,14 @@ from mpm.physics.pore_pressure import total_stress
 from mpm.solids.face_lookup import TINY, entry_of, face_number, holds_of_node, normal_of, solid_of
 from mpm.solids.terrain import bed_hold
 
-NO_FACE = -2.0 * FIRST_FACE  # less than the number of any face among reals
-SHEET = 0.55  # what a thin sheet gives to itself over the grid, per cell of thickness [-]
+NO_FACE = -2.0 * FIRST_FACE  # below the number of any face, as a real number
+SHEET = 0.55  # G(0): phi that a thin sheet finds for itself on the grid, per cell of thickness [-]
 THINNEST = 0.1  # thickness [widths of contact] of the thinnest layer that feels the whole drag
 
 
 @ti.func
 def contact_at(block, column: ti.template(), arrays: ti.template()):
-    """Index of the vector `column` of those that describe the contact of a block."""
+    """Index of the vector `column` among those that describe the contact of a block."""
     return block * arrays.features.state.size + arrays.features.state.contacts + column
 
 
@@ -134,7 +134,7 @@ def sheared_traction(
 ):
     """The shear traction q [Pa] after a step, a list of D, within the bound for the new `stress`.
 
-    turbulence: rho [kg/m^3], g / xi [1/m], sum w m [kg] and sum w H [kg] where solids have it, else nothing; a list.
+    turbulence: rho [kg/m^3], g / xi [1/m], sum w m [kg] and sum w H [kg] if solids have it; else an empty list.
     """
     contact = motion[2]
     foot, opening = foot_velocity(motion, dimension)
@@ -165,9 +165,9 @@ def weight_in_layer(turbulence: ti.template(), volume):
 
 @ti.func
 def drag_share(solid, x, scene, arrays: ti.template()):
-    """1 / xi [s^2/m] at `x` [m] of a solid whose xi varies, and its slopes along x and z; 1 of others, without slopes.
+    """1 / xi [s^2/m] at `x` [m] of a solid whose xi varies, and its slopes along x and z; for others 1 and no slopes.
 
-    Bilinear between the posts of its terrain, beyond them that of their edge.
+    Bilinear between the posts of its terrain; constant beyond their edge.
     """
     share, along, across = 1.0 + 0.0 * x[0], 0.0 * x[0], 0.0 * x[0]
     if ti.static(arrays.features.dimension == 3):
@@ -193,9 +193,9 @@ def drag_share(solid, x, scene, arrays: ti.template()):
 
 @ti.func
 def find_drags(scene, block, scratch, places: ti.template(), first, arrays: ti.template()):
-    """Leave g / xi [1/m] of the solid next to each particle of a block in `scratch`; 0 where it touches none.
+    """Store g / xi [1/m] of the solid next to each particle of a block in `scratch`; 0 for those that touch none.
 
-    places: numbers in whose `first` lanes the positions of the block stand.
+    places: array that holds the positions of the block from lane `first` on.
     """
     features, lanes = arrays.features, arrays.features.lanes
     contact, drag = contact_at(block, 0, arrays), scratch + features.scratch.drag
@@ -211,7 +211,7 @@ def find_drags(scene, block, scratch, places: ti.template(), first, arrays: ti.t
 
 @ti.func
 def turbulence_at(scratch, density, arrays: ti.template()):
-    """What `sheared_traction` takes of a block, after `find_drags`; density: of its particles [kg/m^3]."""
+    """The argument `turbulence` of `sheared_traction` for a block, after `find_drags`; density: [kg/m^3]."""
     count = ti.static(int(arrays.features.turbulent))
     drags = vectors(arrays.scratch, scratch + arrays.features.scratch.drag, 3 * count)
     return [density for _ in ti.static(range(count))] + drags
@@ -230,7 +230,7 @@ def motion_and_stress(block, scratch, arrays: ti.template()):
 
 @ti.func
 def push(block, scratch, arrays: ti.template()):
-    """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
+    """Store the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
     features = arrays.features
     contact = contact_of(block, arrays)
     away = 0.0 - contact[Contact.DISTANCE]
@@ -242,7 +242,7 @@ def push(block, scratch, arrays: ti.template()):
 
 @ti.func
 def shear_traction_step(scene, block, scratch, dt, shear, density, arrays: ti.template()):
-    """Bring the shear tractions q of a block forward by a step."""
+    """Advance the shear tractions q of a block by a step."""
     dimension = ti.static(arrays.features.dimension)
     if ti.static(arrays.features.turbulent):
         position = block * arrays.features.state.size * arrays.features.lanes
@@ -257,7 +257,7 @@ def shear_traction_step(scene, block, scratch, dt, shear, density, arrays: ti.te
 
 @ti.func
 def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
-    """Add what contact takes of the momentum of a block that touches, -dt V0 delta t in a step, to its solids."""
+    """Add the momentum that contact takes from a touching block in a step, -dt V0 delta t, to its solids."""
     features = arrays.features
     push(block, scratch, arrays)
     pushed = scratch + features.scratch.push
@@ -277,9 +277,9 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
 
 @ti.func
 def apply_solids(v, mass, node, bed, worker, scene, recorded: ti.template(), arrays: ti.template()):
-    """Velocity `v` [m/s] after the holds of the node `node`, an index of shape [D], with the `mass` [kg]; shape [D].
+    """Velocity `v` [m/s], shape [D], of a node after its holds; node: its index, [D], mass: [kg].
 
-    bed: under the node, `BedUnder`; recorded: whether what they take is added to the impulses of their solids.
+    bed: under the node, `BedUnder`; recorded: whether the momentum taken is added to the impulses of the solids.
     """
     after, entry = v, entry_of(node, scene, arrays)
     first, end = holds_of_node(entry, arrays)
@@ -298,7 +298,7 @@ def apply_solids(v, mass, node, bed, worker, scene, recorded: ti.template(), arr
 
 @ti.func
 def removed_by(hold, v, arrays: ti.template()):
-    """The face of a hold and what it takes of a velocity `v` [m/s], share_k (v - A_k v)."""
+    """The face of a hold and the part that it removes from a velocity `v` [m/s], share_k (v - A_k v)."""
     face, removed = face_number(arrays.holds[hold, 0]), 0.0 * v
     normal = normal_of(face, arrays)
     if v.dot(normal) < 0.0:
@@ -308,7 +308,7 @@ def removed_by(hold, v, arrays: ti.template()):
 
 @ti.func
 def removed_by_bed(v, node, bed, scene, arrays: ti.template()):
-    """What the `bed` under a node, an index of shape [D], takes of its velocity `v` [m/s]; shape [D]."""
+    """The part that the `bed` under a node, an index of shape [D], removes from its velocity `v` [m/s]; shape [D]."""
     removed = 0.0 * v
     share, normal, friction = bed_hold(node, bed, scene, arrays)
     if share > 0.0 and v.dot(normal) < 0.0:

@@ -1,10 +1,10 @@
-"""The face that each particle is nearest to, and the way of a step that ends where it meets one.
+"""The nearest face of each particle, and the displacement of a step, which ends at a face that it meets.
 
-No particle passes a face: a displacement that crosses one ends there and goes on along it. Of a block, all lanes at
-once, first those particles are done whose nearest face is the same as before (`follow_faces`). Each of the others is
-stopped at that face (`stop_at_face`), follows the edge that it is nearest to (`follow_edge`) or searches
-(`find_contact`). A terrain in 3D stands in no list: last its bed, of all lanes at once, takes the place of a face that
-is farther (`find_bed`), and what is in it is put out.
+No particle passes a face: a displacement that crosses one ends there and continues along it. In a block, all lanes at
+once, first come the particles whose nearest face is the same as before (`follow_faces`). Each of the others is stopped
+at that face (`stop_at_face`), follows its nearest edge (`follow_edge`) or searches (`find_contact`). A terrain in 3D is
+not among the listed faces: last, for all lanes at once, its bed replaces a face that is farther away (`find_bed`), and
+particles inside it are moved out.
 """
 
 import taichi as ti
@@ -41,16 +41,16 @@ from mpm.solids.face_lookup import (
 )
 from mpm.solids.terrain import bed_contact, bed_spacing, lowest_node, nine, place_in_bed, spline_sums, varied_friction
 
-FAR = 1.0e30  # distance [m] of what is not there
-MAX_CROSSINGS = 3  # faces along which the displacement of one step is led; beyond them the particle stays where it was
-LONGER = 0.25  # cells beyond the searched distance up to which a face is followed: what hovers there searches none
+FAR = 1.0e30  # distance [m] of an absent solid
+MAX_CROSSINGS = 3  # faces that deflect the displacement of one step; at more, the particle stays where it was
+LONGER = 0.25  # cells beyond the searched distance up to which a face is followed; particles there need no search
 
 
 @ti.func
 def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
-    """Keep the particles of a block, moved already, out of the solids, and find the face that each is nearest to;
-    `mass` [kg] of each lane. A particle whose distance was d and that has moved by s has one of at least d - s now: as
-    long as that is beyond the contact no face is searched, nor where the nearest one is known to be (`free_path`).
+    """Keep the particles of a block, already moved, out of the solids, and find the nearest face of each; `mass` [kg]
+    of each lane. A particle at distance d that has moved by s is at least d - s away: no search is needed while that is
+    beyond the contact, or while the nearest face is known (`free_path`).
     """
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
@@ -78,7 +78,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
 
 @ti.func
 def followed_distance(scene, arrays: ti.template()):
-    """Distance from solids from which on faces are not followed [m]."""
+    """Distance from solids beyond which faces are not followed [m]."""
     longer = ti.static(LONGER * arrays.features.listed)
     return arrays.settings[scene, Setting.SEARCH_DISTANCE] + longer * arrays.settings[scene, Setting.CELL]
 
@@ -87,16 +87,16 @@ def followed_distance(scene, arrays: ti.template()):
 def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arrays: ti.template()):
     """Contact of the particles of a block that are still nearest to the inside of the same face, or to none `nearby`.
 
-    moved: their displacement [m], D vectors; path: no less than its length [m]. Leaves in `scratch` the lower bound of
-    the distance of each particle that is not done with, and `nearby` of the others; returns whether there are any of
-    the former: the face of most has to be searched, those with `Contact.FREE` above zero have gone into theirs by a
-    negative distance. Particles on a bed have in place of a face what is known of the distance of the listed ones.
+    moved: their displacement [m], D vectors; path: at least its length [m]. Stores in `scratch` a lower bound of the
+    distance for each unfinished particle, and `nearby` for the others; returns whether there are unfinished ones: most
+    need a search, but those with `Contact.FREE` above zero have moved into their face by a negative distance. For
+    particles on a bed, `Contact.FREE` bounds the distance to listed faces.
     """
     features = arrays.features
     size = ti.static(features.dimension)
     contact, width = contact_at(block, 0, arrays), arrays.settings[scene, Setting.CONTACT_WIDTH]
     before, d = arrays.state[contact + Contact.FREE], arrays.state[contact + Contact.DISTANCE]
-    # Less than zero of those at an edge, which `follow_edge` follows.
+    # Below zero for particles at an edge, which `follow_edge` follows.
     free, bound = ti.select(before < 0.0, minimum(before + path, 0.0), maximum(before - path, 0.0)), d - path
     if ti.static(features.terrain):
         bed = 1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE
@@ -105,7 +105,7 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
         free = ti.select(on_bed, 0.0, free)
     for k in ti.static(range(size)):
         d = d + moved[k] * arrays.state[contact + Contact.NORMAL + k]
-    # As long as the face is the nearest, a way on its outer side meets none, and one into it no other.
+    # While the face is the nearest, a path on its outer side meets no face, and a path into it no other face.
     follows = free > 0.0
     d = ti.select(follows, d, bound)
     arrays.state[contact + Contact.DISTANCE] = d
@@ -120,7 +120,7 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
 @ti.func
 def find_bed(block, scratch, nearby, worker, scene, arrays: ti.template()):
     """Contact of the particles of a block that are nearer to the bed of the terrain than to any listed face, whose
-    contact stands in the state; what is in the bed is put out and stopped.
+    contact is in the state; particles inside the bed are moved out and stopped.
     """
     features, lanes = arrays.features, arrays.features.lanes
     first, contact, bed = block * features.state.size, contact_at(block, 0, arrays), scratch + features.scratch.bed
@@ -169,7 +169,7 @@ def find_bed(block, scratch, nearby, worker, scene, arrays: ti.template()):
     put_known(contact + Contact.FRICTION, nearest, frictions, arrays)
     put_known(contact + Contact.FACE, nearest, face, arrays)
     put_known(contact + Contact.FREE, nearest, other, arrays)
-    # Beyond the search a lower bound; the distance of a face that is nearer stays.
+    # A lower bound beyond the search; the distance of a nearer face stays.
     nearness = arrays.terrain[arrays.offsets[scene, Offset.TERRAIN] + TerrainNumber.NEARNESS]
     bound = ti.select(other < nearby, other, minimum(other, above * nearness))
     arrays.state[contact + Contact.DISTANCE] = ti.select(nearest, outside, bound)
@@ -187,7 +187,7 @@ def put_known(at, known, value, arrays: ti.template()):
 
 @ti.func
 def turn_traction(block, arrays: ti.template()):
-    """The shear traction of a block turns with the surface, and ends where a particle leaves it."""
+    """Turn the shear traction of a block with the surface; it ends when a particle leaves the surface."""
     size = ti.static(arrays.features.dimension)
     contact = contact_at(block, 0, arrays)
     normal = vectors(arrays.state, contact + Contact.NORMAL, size)
@@ -199,7 +199,7 @@ def turn_traction(block, arrays: ti.template()):
 
 @ti.func
 def keep_out(block, scratch, lane, bound, worker, scene, arrays: ti.template()):
-    """Contact of the particle in `lane` that does not follow the inside of a face, no nearer than `bound` [m]."""
+    """Contact of the particle in `lane`, at least `bound` [m] away, that does not follow the inside of a face."""
     free = arrays.lanes[contact_at(block, Contact.FREE, arrays) * arrays.features.lanes + lane]
     if free > 0.0:
         stop_at_face(block, scratch, lane, worker, scene, arrays)
@@ -211,13 +211,13 @@ def keep_out(block, scratch, lane, bound, worker, scene, arrays: ti.template()):
 
 @ti.func
 def stop_at_face(block, scratch, lane, worker, scene, arrays: ti.template()):
-    """Put the particle in `lane` of a block out of the face that it has gone into, alone, and stop it there."""
+    """Move the particle in `lane` of a block out of the one face that it has entered, and stop it there."""
     features, lanes = arrays.features, arrays.features.lanes
     first, contact = block * features.state.size * lanes + lane, contact_at(block, 0, arrays) * lanes + lane
     face, x = face_number(arrays.lanes[contact + Contact.FACE * lanes]), lane_numbers(arrays.lanes, first, arrays)
     corner, _, _ = corners_of(face, arrays)
     normal = normal_of(face, arrays)
-    # Anew: that of a face that is followed sums up the rounding of its steps.
+    # Computed anew: the distance of a followed face accumulates the rounding of its steps.
     d = (x - corner).dot(normal)
     put_lane_numbers(arrays.lanes, first, x - ti.min(d, 0.0 * d) * normal, arrays)
     arrays.lanes[contact + Contact.DISTANCE * lanes] = ti.max(d, 0.0 * d)
@@ -245,9 +245,9 @@ def follow_edge(block, lane, scene, arrays: ti.template()):
 
 @ti.func
 def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template()):
-    """Contact of the particle in `lane` of a block: where its displacement ends, and the face nearest to that.
+    """Contact of the particle in `lane` of a block: the end of its displacement, and the face nearest to it.
 
-    bound: its distance is no less [m]; if that is positive it has met no face.
+    bound: lower bound of its distance [m]; if it is positive, the particle has met no face.
     """
     features, lanes = arrays.features, arrays.features.lanes
     first = block * features.state.size * lanes + lane

@@ -1,12 +1,12 @@
-"""The grid between the transfers: cleared, then momentum becomes velocity under gravity, damping and the walls.
+"""The grid between the transfers: it is cleared; momentum becomes velocity under gravity, damping and the walls.
 
     v_i* = v_i + dt (a_i - alpha |a_i| s(v_i)),   a_i = g + f_i / m_i,   s(v) = v / sqrt(v^2 + v_s^2)
 
-The last term is local damping (Cundall 1987) as CB-Geo MPM applies it at a node: |a| is the length of the whole
-acceleration, the sign is each component's (Cundall's own form takes each component's force too). The sign is made
-continuous over v_s = SLOW sqrt(g dx), so that the flow depends continuously on its parameters. The damping opposes
-sliding like a friction of the base and turns with the stress, not with the speed: a block that slides on an incline at
-damping 0.12 behaves as if the coefficient of friction were larger by 0.2. It is off by default.
+The last term is local damping (Cundall 1987) as CB-Geo MPM applies it at a node: |a| is the magnitude of the whole
+acceleration, while the sign is taken per component (Cundall's form takes the force per component, too). The sign is
+made continuous over v_s = SLOW sqrt(g dx), so that the flow depends continuously on its parameters. The damping opposes
+sliding like basal friction and depends on the stress, not on the speed: a block that slides on an incline at damping
+0.12 behaves as if the coefficient of friction were larger by 0.2. It is off by default.
 
 Only the nodes of columns near the material are cleared and updated (`mpm.physics.columns`).
 """
@@ -67,7 +67,7 @@ def update_grid(worker, scene, dt, kappa, arrays: ti.template()):
 
 @ti.func
 def index_of(places: ti.template(), arrays: ti.template()):
-    """The index of a node, shape [D], of its i, j, k."""
+    """The index of a node, shape [D], from its i, j, k."""
     return ti.Vector([places[axis] for axis in ti.static(range(arrays.features.dimension))])
 
 
@@ -85,8 +85,8 @@ def has_alone(column, worker, arrays: ti.template()):
 
 @ti.func
 def reaches(worker, column, arrays: ti.template()):
-    """Whether a column of the box is among those of a worker, from the first to the last in use: a strip of the box
-    where particles are sorted, so that hardly one has to be looked up.
+    """Whether a column of the box lies between the first and the last in use by a worker: a strip of the box if
+    particles are sorted, so that few columns have to be looked up.
     """
     return arrays.workers[worker, Worker.LOWEST] <= column <= arrays.workers[worker, Worker.HIGHEST]
 
@@ -103,7 +103,7 @@ def has_node(worker, column, j, arrays: ti.template()):
 
 @ti.func
 def owns(column, j, worker, arrays: ti.template()):
-    """Whether a node is a worker's to compute: in a shared scene one of those that have it does, in turn by column."""
+    """Whether a worker computes a node: in a shared scene one of those that have it does, in turn by column."""
     result = True
     if ti.static(arrays.features.processor.shared):
         result = owner_of(column, j, arrays) == worker
@@ -112,7 +112,7 @@ def owns(column, j, worker, arrays: ti.template()):
 
 @ti.func
 def owner_of(column, j, arrays: ti.template()):
-    """The worker of a shared scene that computes a node; -1 where none has it."""
+    """The worker of a shared scene that computes a node; -1 if none has it."""
     owner, other = -1, column % arrays.workers.shape[0]
     for _ in range(arrays.workers.shape[0]):
         if owner < 0 and has_node(other, column, j, arrays):
@@ -123,7 +123,7 @@ def owner_of(column, j, arrays: ti.template()):
 
 @ti.func
 def own_node(column, j, worker, arrays: ti.template()):
-    """Number in `grid` of node j of a column of the box, as `worker` has it."""
+    """Number in `grid` of the copy that `worker` has of node j of a column of the box."""
     return node_at(arrays.workers[worker, Worker.COLUMN] + column, j, arrays)
 
 
@@ -142,7 +142,7 @@ def node_of(array: ti.template(), column, j, worker, arrays: ti.template()):
 
 @ti.func
 def put_node(array: ti.template(), value, column, j, worker, arrays: ti.template()):
-    """Put what `node_of` reads; in a shared scene all workers that have the node get the sum."""
+    """Write a node for `node_of` to read; in a shared scene all workers that have the node get the sum."""
     if ti.static(arrays.features.processor.shared):
         for other in range(arrays.workers.shape[0]):
             if has_node(other, column, j, arrays):
@@ -153,7 +153,7 @@ def put_node(array: ti.template(), value, column, j, worker, arrays: ti.template
 
 @ti.func
 def update_node(n, scene, arrays: ti.template()):
-    """Momentum to velocity on the n-th node of a scene, where every node of the box is held and has a thread."""
+    """Momentum to velocity at the n-th node of a scene if all nodes of the box are in memory, each with a thread."""
     deep, high = columns_deep(scene, arrays), arrays.offsets[scene, Offset.CELLS_Y] + 2 * PADDING + 1
     column, j = n // high, n % high
     i, k = column // deep, column % deep
@@ -208,7 +208,7 @@ def moved_node(node, indices, bed, held, worker, scene, dt, kappa, arrays: ti.te
 
 @ti.func
 def relaxation_factor(scene, dt, arrays: ti.template()):
-    """The part of the velocity beyond the grid's that a particle keeps over a step, exp(-dt / tau) [-]."""
+    """The share that a particle keeps over a step of its velocity relative to the grid, exp(-dt / tau) [-]."""
     return ti.exp(0.0 - dt * arrays.settings[scene, Setting.RELAXATION_RATE])
 
 

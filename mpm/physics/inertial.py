@@ -2,22 +2,22 @@
 
     sin phi = mu_s + (mu_2 - mu_s) / (1 + I_0 / I),     I = gamma' d / sqrt(P / rho_s)
 
-On the plane that shears the normal stress is the centre P = -(s1 + s3) / 2 of Mohr's circle and the shear stress its
-radius R = (s1 - s3) / 2, where nothing dilates; so sin phi is the measured ratio mu. gamma' is the plastic shear rate
-of that plane, and where two stresses meet at an edge, their mean stands for both. In a step dt (in MPM: Dunatunga &
-Kamrin 2015) the return of `mpm.laws.mohr_coulomb` takes the trial (P, R) by the shear g = gamma' dt to
+Without dilation the shear plane has as normal stress the centre P = -(s1 + s3) / 2 of Mohr's circle and as shear stress
+its radius R = (s1 - s3) / 2; so sin phi is the measured ratio mu. gamma' is the plastic shear rate of that plane; where
+two stresses coincide at an edge, their mean replaces both. In a step dt (in MPM: Dunatunga & Kamrin 2015) the return of
+`mpm.laws.mohr_coulomb` takes the trial (P, R) by the shear g = gamma' dt to
 
     R - G g = (P + b G g) sin phi + c cos phi_s
 
-b says how P changes on the way: (lambda + G) sin psi / G on a plane; -1/3 at an edge where the larger two stresses meet
-and 1/3 where the smaller two do, and what their dilation adds. With w the share of the growth, sin phi = mu_s + (mu_2 -
+b is the change of P during the return: (lambda + G) sin psi / G on a plane; at an edge -1/3 if the larger two stresses
+coincide, 1/3 if the smaller two do, plus that of dilation. With w the share of the growth, sin phi = mu_s + (mu_2 -
 mu_s) w, and g = g_0 w / (1 - w), g_0 = dt I_0 sqrt(P / rho_s) / d, at the pressure of the slow return this is
 
     m w^2 - (e + m + k) w + e = 0,    e = R - P mu_s - c cos phi_s,   m = (mu_2 - mu_s) (P + b e / (1 + b mu_s)),
                                       k = (1 + b mu_s) G g_0
 
 whose smaller root is in [0, 1] at any step: 0 where nothing yields, about e / k in slow shear and 1 in very fast shear.
-Under tension there is no I, and friction is that of slow shear.
+Under tension I is undefined, and friction is that of slow shear.
 
 | symbol | variable |
 |---|---|

@@ -1,15 +1,15 @@
-"""Material that flows in: particles that wait at their section until their time has come, and what is behind it.
+"""Inflow: particles wait at their section until their entry time; nodes on and behind the section are held.
 
-All particles of an inflow are there from the start (`datasets.geometry.inflow`), each at the place where it enters,
-without mass, stress and velocity. With the step that contains its time it becomes part of the flow, as far from the
-section as its velocity takes it by the end of the step. A vector of its block counts how many frames it has to wait: by
-steps in the frame in which it enters, by whole frames before that, which rounds nothing.
+All particles of an inflow exist from the start (`datasets.geometry.inflow`), each at the place where it enters, without
+mass, stress and velocity. In the step that contains its entry time, a particle joins the flow, as far from the section
+as its velocity takes it by the end of the step. A vector of its block counts the frames that it has to wait: by whole
+frames, which causes no rounding, and by steps in the frame in which it enters.
 
-From the first time of the hydrograph to its last the nodes on the section and behind it have the velocity v(t) of the
-inflow, the mean of each frame. What has entered leaves the section at that speed, so that what follows finds its place
-empty: it is neither compressed nor torn apart, and nothing flows back. What enters is free of stress: its weight
-compresses it, by rho g h^2 / (2 M), within the time h / c of an elastic wave, in which it moves by a small part of its
-depth h. A stress of rest would push a front out of the section before gravity has moved anything.
+From the first to the last time of the hydrograph the nodes on and behind the section have the velocity v(t) of the
+inflow, averaged over each frame. Material that has entered leaves the section at that speed, so that the next finds an
+empty place: it is neither compressed nor torn apart, and nothing flows back. It enters free of stress. Its weight
+compresses it by rho g h^2 / (2 M) within the time h / c of an elastic wave, in which it moves by a small part of its
+depth h. An initial earth pressure would push a front out of the section before gravity has moved anything.
 """
 
 import taichi as ti
@@ -19,29 +19,29 @@ from mpm.arrays.layout import PADDING, Contact, Inflow, Offset, Setting
 from mpm.physics.contact import contact_at
 
 BEHIND, BESIDE, BELOW, SLACK = 3.0, 1.5, 2.0, 0.01
-"""Cells of nodes that are held around a section, whose foot is BELOW, at any height; SLACK, by rounding, before it. The
-support of a quadratic B-spline is one and a half along each axis."""
-EARLY = 1.0e-5  # frames by which a particle may enter before its time, so that rounding leaves none outside at the end
+"""Extent [cells] of the nodes held behind, beside and below the foot of a section, at any height above; SLACK in front
+of it for rounding. A quadratic B-spline reaches one and a half cells along each axis."""
+EARLY = 1.0e-5  # frames by which a particle may enter early, so that rounding leaves none outside at the end
 NEVER = -1.0  # speed of an inflow that has not begun, or has ended
 
 
 @ti.func
 def waits(block, arrays: ti.template()):
-    """Whether no particle of a block enters in this frame, or has entered."""
+    """Whether no particle of a block has entered or enters in this frame."""
     entry = arrays.state[block * arrays.features.state.size + arrays.features.state.entry]
     return over_lanes(minimum, entry, arrays.features.lanes) > 1.0
 
 
 @ti.func
 def wait_frame(block, arrays: ti.template()):
-    """A frame has passed for the particles of a block that enter in a later one."""
+    """Count one frame down for the particles of a block that enter in a later frame."""
     at = block * arrays.features.state.size + arrays.features.state.entry
     arrays.state[at] = ti.select(arrays.state[at] > 1.0, arrays.state[at] - 1.0, arrays.state[at])
 
 
 @ti.func
 def let_in(block, scene, dt, arrays: ti.template()):
-    """Particles of a block whose time comes in this step join the flow: with their velocity, and nothing else."""
+    """Let the particles of a block whose entry time is in this step join the flow, with only their velocity."""
     features = arrays.features
     x = block * features.state.size
     entry, present, velocity = x + features.state.entry, x + features.state.present, x + features.state.velocity
@@ -65,7 +65,7 @@ def let_in(block, scene, dt, arrays: ti.template()):
 
 @ti.func
 def held_behind(v, node, scene, arrays: ti.template()):
-    """Velocity `v` of the node with the indices `node`, or that of an inflow where it holds it, [D]."""
+    """Velocity `v` of the node with the indices `node`, or that of the inflow that holds it, [D]."""
     first = arrays.offsets[scene, Offset.INFLOW]
     for line in range(first, first + arrays.offsets[scene, Offset.INFLOWS]):
         speed = arrays.inflows[line, Inflow.SPEED]

@@ -1,4 +1,4 @@
-"""What a block of particles does between grid and next step: it moves, keeps out of solids, and its stress follows."""
+"""Update of a block of particles after the grid: it moves, stays outside the solids, and its stress follows."""
 
 import taichi as ti
 
@@ -27,7 +27,7 @@ from mpm.physics.water import give_to_cells
 
 @ti.func
 def update_particles(worker, scene, dt, kappa, arrays: ti.template()):
-    """Bring the particles of `worker` to new places and stresses; the largest displacement along an axis [cells]."""
+    """Update positions and stresses of the particles of `worker`; return the largest move along an axis [cells]."""
     features = arrays.features
     first = arrays.workers[worker, Worker.FIRST]
     furthest = 0.0 * arrays.state[first * features.state.size]
@@ -47,7 +47,7 @@ def update_particles(worker, scene, dt, kappa, arrays: ti.template()):
 
 @ti.func
 def update_block(worker, table, scene, block, scratch, dt, kappa, arrays: ti.template()):
-    """Bring a block from the velocities of its nodes, in columns from `table` on, to new positions and stresses."""
+    """Update positions and stresses of a block from the velocities of its nodes, in columns from `table` on."""
     features = arrays.features
     volume = property_of(scene, block, Property.VOLUME, arrays)
     near = False
@@ -112,13 +112,13 @@ def step_particles(scene, block, scratch, dt, kappa, arrays: ti.template()):
 
 @ti.func
 def remove_outflow(block, scene, arrays: ti.template()):
-    """Particles of a block beyond an open side are no part of the flow any more: without mass, stress and velocity."""
+    """Remove particles of a block beyond an open side from the flow: they lose mass, stress and velocity."""
     features = arrays.features
     x = block * features.state.size
     here = arrays.state[x + features.state.present]
     for k in ti.static(range(features.dimension)):
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
-        # Where a solid covers a wall, a particle may be beyond it until contact puts it back.
+        # Where a solid covers a wall, a particle may be beyond the wall until contact moves it back.
         left = (arrays.state[x + k] < 0.0) & (is_wall(2 * k, scene, arrays) == 0)
         right = (arrays.state[x + k] > length) & (is_wall(2 * k + 1, scene, arrays) == 0)
         here = ti.select(left | right, 0.0, here)
@@ -129,10 +129,10 @@ def remove_outflow(block, scene, arrays: ti.template()):
 
 @ti.func
 def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
-    """Stress, and plastic strain where it is needed, of a block after its new velocity gradient.
+    """Update the stress, and the plastic strain if needed, of a block by its new velocity gradient.
 
-    near: whether it touches a solid. Where the material softens, the strength of the step is that of the plastic strain
-    at its start: explicit.
+    near: whether it touches a solid. If the material softens, the strength in the step is explicit: it follows the
+    plastic strain at the start of the step.
     """
     features = arrays.features
     first = no_overflow(block * features.state.size)
@@ -152,7 +152,7 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
         volumetric = increment[0] + increment[features.dimension + 1]
         if ti.static(features.dimension == 3):
             volumetric += increment[8]
-        # Water feels the gap that the density of the grid has closed.
+        # The closing of the gap by the density of the grid strains the water.
         arrays.state[first + features.state.volume_strain] = volumetric - closed / (lame + shear * (2.0 / 3.0))
     new = stress_step(stress, increment, opened, strengths, lame, shear, features)
     for k in ti.static(range(features.stresses)):
@@ -184,7 +184,7 @@ def opened_of(scene, block, scratch, tension, bulk, dt, arrays: ti.template()):
     before = arrays.state[first + features.state.gap]
     after = updated_gap(before, tension, bulk, rate, gap)
     if ti.static(features.wet):
-        # Beside water down alone, and where that is open, too.
+        # Beside water the gap only decreases, and only if the water is open, too.
         least = ti.select(arrays.state[first + features.state.pore_pressure] < 0.0, minimum(after, before), before)
         after = ti.select(arrays.state[first + features.state.saturated] > 0.0, least, after)
     return after
@@ -203,7 +203,7 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
             stress = total_stress(block, [], arrays)
             jump = jump_at_contact(motion, stress, modulus, dt, features.dimension)
             if ti.static(features.wet):
-                # Water and grains remember what opens.
+                # Water and grains both remember an opening.
                 _foot, opening = foot_velocity(motion, features.dimension)
                 wet = arrays.state[first + features.state.saturated] > 0.0
                 jump = ti.select(wet, dt * motion[2][Contact.DELTA] * opening, jump)
@@ -215,13 +215,13 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
 
 @ti.func
 def law_values(scene, block, arrays: ti.template()):
-    """The values of all columns of the law of a block; zeros known to the compiler where the law reads none."""
+    """The values of all columns of the law of a block; constant zeros for columns that the law does not read."""
     return [law_value(scene, block, column, arrays) for column in ti.static(list(arrays.features.law.Column))]
 
 
 @ti.func
 def law_value(scene, block, column: ti.template(), arrays: ti.template()):
-    """One of them."""
+    """One of these values."""
     columns = ti.static(arrays.features.law.columns(arrays.features))
     if ti.static(column in columns):
         return property_of(scene, block, column, arrays)

@@ -1,15 +1,15 @@
-"""The pressure of pore water in the forces: inside of a mixture, on solids and on walls of the box.
+"""The forces of pore water pressure: inside the mixture, on solids and on walls of the box.
 
     sigma = sigma' - p I,        t_w = p_f n,    p_f = p - d n . grad p
 
-with the effective stress sigma', the outward normal n of a surface and the pressure p_f at the foot of a particle whose
-distance is d. Water presses on every surface by the delta of `mpm.physics.contact` in place of p delta: exact for a
-pressure that grows evenly. By p itself, which acts 0.3 cells away on average, it would bear 0.3 rho g dx too little of
-a layer, the grains that much more, and where these bear a fifth of the weight of five cells, they would rub by a
-quarter too much. A wall of the box takes this traction of the water, too: what its nodes stop is then what grains press
-on it, and on that alone it rubs.
+with the effective stress sigma', the outward normal n of a surface and the pressure p_f at the foot of a particle at
+distance d. Water presses on every surface with delta p_f (delta: `mpm.physics.contact`) instead of delta p, which is
+exact for a linear pressure. p acts 0.3 cells away from the surface on average: with it, water would carry 0.3 rho g dx
+too little of a layer and the grains that much more; grains that carry a fifth of the weight of five cells would have a
+quarter too much friction. A wall of the box takes this water traction, too. Its nodes then stop only the thrust of the
+grains, which alone causes friction.
 
-Forces have max(p, -u) in place of p, with the suction u that water bears (`mpm.physics.water`).
+The forces use max(p, -u) instead of p, with the suction u that water bears (`mpm.physics.water`).
 """
 
 import taichi as ti
@@ -19,13 +19,13 @@ from mpm.arrays.access import add, clamp, dot, maximum, minimum, no_overflow, ov
 from mpm.arrays.layout import Contact, Offset, Setting, Worker
 from mpm.physics.boundary import contact_delta, is_wall
 
-COVERED = 0.5  # component of a solid's normal across a wall from which on it covers that for particles that touch it
+COVERED = 0.5  # normal component across a wall above which a solid covers the wall for particles touching it
 
 
 @ti.func
 def suction_held(stress: ti.template(), held: ti.template()):
-    """The largest suction of water [Pa] between grains with the `stress` [Pa]: what presses these, up to cavitation, so
-    that they pull nothing together; none where not `held`.
+    """The largest suction of water [Pa] between grains with the `stress` [Pa]: the pressure between grains, up to
+    cavitation, so that the total stress is no tension; none where not `held`.
     """
     if ti.static(held):
         return clamp((stress[0] + stress[1] + stress[2]) * (-1.0 / 3.0), 0.0, CAVITATION)
@@ -46,7 +46,7 @@ def felt_pressure(block, stress: ti.template(), rise, arrays: ti.template()):
 def total_stress(block, towards: ti.template(), arrays: ti.template()):
     """Stress [Pa] of the particles of a block, that of the grains less the pore pressure; a list of vectors.
 
-    towards: the way [m] to the place whose pressure counts, a list of D; none for that of the particle.
+    towards: vector [m] to the place whose pressure counts, a list of D; empty for the particle's own place.
     """
     features = arrays.features
     first = no_overflow(block * features.state.size)
@@ -97,7 +97,7 @@ def wall_pressure(block, side: ti.template(), scene, arrays: ti.template()):
 
 @ti.func
 def record_wall_pressure(block, volume, dt, scene, worker, arrays: ti.template()):
-    """Add what water gives of its momentum to the sides of the box in a step, -dt V0 delta p_f n."""
+    """Add the momentum that water gives to the sides of the box in a step, -dt V0 delta p_f n."""
     for side in ti.static(range(2 * arrays.features.dimension)):
         if presses_on(block, side, scene, arrays):
             taken = wall_pressure(block, side, scene, arrays) * volume * present(block, arrays)

@@ -7,14 +7,13 @@ Winget 1980), so a rigid spin keeps the invariants of the stress to rounding; fo
 R - I = 2 (Q + Q^2) / (1 + q . q) with q half the axial vector of W and Q v = q x v; in 2D tan(angle / 2) = q.
 Components xx, yy, zz, xy and, in 3D, yz, zx; 2D is plane strain.
 
-The increment of the step is measured in the configuration halfway (Hughes & Winget 1980): a displacement over a step
-with the gradient A = dt C in the configuration before it has G = A (I + A / 2)^-1 in that halfway, to second order
+The increment is measured in the midpoint configuration (Hughes & Winget 1980): the displacement over a step, with the
+gradient A = dt C in the configuration before it, has the gradient G = A (I + A / 2)^-1 at the midpoint, to second order
 
     G = A - A A / 2
 
-of which D and W are the symmetric and the skew part. With A itself a body that spins by w in a step would grow, since
-its particles move along tangents: by 5 % of its moment of inertia in three turns at a step of 0.5 ms and one turn a
-second.
+D and W are the symmetric and the skew part of G. With A instead, a spinning body would grow, since its particles move
+along tangents: by 5 % of its moment of inertia in three turns at a step of 0.5 ms and one turn per second.
 
 Principal stresses s1 >= s2 >= s3, tension positive: in plane strain one is the stress out of plane, the others are
 centre +- radius of Mohr's circle. In 3D (Smith 1961)
@@ -23,17 +22,17 @@ centre +- radius of Mohr's circle. In 3D (Smith 1961)
 
 There is no arc cosine on vector registers, and none is needed: cos(theta / 3) and sin(theta / 3) / sin(theta / 2) are
 smooth in t = cos(theta / 2) = sqrt((1 + r) / 2) on all of [0, 1], so a short Chebyshev series gives them to rounding.
-Where two stresses meet, r loses half of its digits: they are then apart by up to 1e-3 q in f32. The return of the
-stress does not mind, because it depends on their mean.
+Where two principal stresses coincide, r loses half of its digits, and they differ by up to 1e-3 q in f32. This does not
+affect the stress return, which depends on their mean.
 
-The returned stress has the axes of the trial stress, and no axes are computed. With s_i the principal stresses, g_i the
-change of each, and the divided differences g12 = (g1 - g2) / (s1 - s2), g123 = (g12 - g23) / (s1 - s3), Newton's
+The returned stress has the axes of the trial stress, and no axes are computed. With the principal stresses s_i, their
+changes g_i and the divided differences g12 = (g1 - g2) / (s1 - s2), g123 = (g12 - g23) / (s1 - s3), Newton's
 interpolation polynomial carries the change over to the tensor:
 
     sigma = sigma_trial + g1 I + g12 (sigma_trial - s1 I) + g123 (sigma_trial - s1 I) (sigma_trial - s2 I)
 
-Because a return never widens a gap, with elastic coupling neither, g12 and g23 lie in [-1, 0]: clamped to that they are
-right where stresses meet, too. In plane strain this is a scaled deviator around a moved centre.
+No return widens the gap between two principal stresses, even with elastic coupling: g12, g23 lie in [-1, 0] and,
+clamped to it, hold where stresses coincide, too. In plane strain: a scaled deviator around a shifted centre.
 """
 
 from collections.abc import Callable
@@ -46,7 +45,7 @@ from mpm.arrays.access import TINY, clamp, maximum, minimum
 from mpm.arrays.layout import Precision
 
 DEGREE: dict[Precision, int] = {"f32": 10, "f64": 22}
-"""Of the series: the nearest singularity, t = -1, makes every degree reduce the error by a factor of 5.8."""
+"""Degree of the series; each degree reduces the error by a factor of 5.8, as the nearest singularity is t = -1."""
 
 
 def series(function: Callable[[NDArray[np.float64]], NDArray[np.float64]], precision: Precision) -> tuple[float, ...]:
@@ -152,18 +151,18 @@ def rotated(stress: ti.template(), qx, qy, qz):
 def stress_step(
     old: ti.template(), gradient: ti.template(), opened, strengths: ti.template(), lame, shear, features: ti.template()
 ):
-    """What `plastic_return` gives after the increment `gradient` [-] of the stress `old` [Pa].
+    """The result of `plastic_return` after the increment `gradient` [-] of the stress `old` [Pa].
 
-    `opened` is what the last step's return gave as such [Pa], read where `features.volume_correction`: volume
-    correction (Tampubolon et al. 2017), by which what has opened must close before it bears anything again. The fourth
-    strength of a law that opens is the largest tension T [Pa].
+    `opened` is the last value of the last step's return [Pa], read where `features.volume_correction`: with volume
+    correction (Tampubolon et al. 2017), an opened gap must close before it carries stress again. The fourth strength of
+    a law that opens is the largest tension T [Pa].
     """
     limits = [strengths[3] for _ in ti.static(range(int(features.volume_correction)))]
     cracked = with_cracks(old, opened, limits, lame, shear, features)
     trial = trial_stress(cracked, gradient, lame, shear, features.dimension)
     new = plastic_return(trial, strengths, lame, shear, features)
     if ti.static(features.cracks):
-        # The strain of open cracks was plastic once, when they opened.
+        # The strain of open cracks counted as plastic when they opened.
         bare = trial_stress(old, gradient, lame, shear, features.dimension)
         strain = strain_between(bare, new, shear, features.stresses)
         return [new[k] for k in ti.static(range(features.stresses))] + [strain, new[features.stresses + 1]]
@@ -185,13 +184,13 @@ def strain_between(bare: ti.template(), new: ti.template(), shear, count: ti.tem
 
 @ti.func
 def with_cracks(stress: ti.template(), opened, limits: ti.template(), lame, shear, features: ti.template()):
-    """Stress [Pa]; with volume correction plus what the strain e N of the opened cracks would elastically add to it.
+    """Stress [Pa]; with volume correction plus the elastic stress of the strain e N of the opened cracks.
 
-    That is lambda e I + 2 mu e N; `opened` is their volume e, as the mean stress K e [Pa], `limits` T alone. N = sum n
-    n^T / m of the m principal axes n whose stress stands at T: all directions in a loose fragment, as wherever
-    cohesionless material opens, one in a crack beside compression. The return takes that stress away again, unless
-    strain closes the crack: alone it changes nothing. P = T I - sigma has principal values >= 0, and 0 along such axes;
-    with its invariants P1, P2 and without axes, N = cof P / P2 for m = 1, (I - P / P1) / 2 for m = 2, I / 3 for m = 3.
+    It is lambda e I + 2 mu e N; `opened` is the volume strain e of the cracks, as the mean stress K e [Pa]; `limits`
+    holds T alone. N = sum n n^T / m over the m principal axes n with stress T: all directions in a loose fragment, as
+    wherever cohesionless material opens; one in a crack beside compression. The return removes that stress again,
+    unless strain closes the crack: alone it has no effect. P = T I - sigma has principal values >= 0, and 0 along such
+    axes. With its invariants P1, P2 and no axes, N = cof P / P2 for m = 1, (I - P / P1) / 2 for m = 2, I / 3 for m = 3.
     """
     if ti.static(features.volume_correction and features.cohesive):
         xx, yy, zz = limits[0] - stress[0], limits[0] - stress[1], limits[0] - stress[2]
@@ -201,7 +200,7 @@ def with_cracks(stress: ti.template(), opened, limits: ti.template(), lame, shea
         first = xx + yy + zz
         cxx, cyy, czz = yy * zz - yz * yz, zz * xx - zx * zx, xx * yy - xy * xy
         second = cxx + cyy + czz
-        # What counts as 0: a ten-thousandth of the opening, for rounding in single precision.
+        # Values below a ten-thousandth of the opening count as 0, for rounding in single precision.
         zero = 1.0e-4 * opened
         two, three = second <= zero * first, first <= zero
         bulk3 = 3.0 * lame + 2.0 * shear
@@ -230,7 +229,7 @@ def plastic_return(stress: ti.template(), strengths: ti.template(), lame, shear,
     """The stress [Pa] that the law of `features` admits in place of a trial stress.
 
     Returns its components; the increment of equivalent deviatoric plastic strain [-], sqrt(2/3 e : e) with
-    e = dev(sigma_trial - sigma) / (2 mu); and the mean stress that opening cost [Pa].
+    e = dev(sigma_trial - sigma) / (2 mu); and the mean stress lost by opening [Pa].
     """
     if ti.static(hasattr(features.law, "return_tensor")):
         return features.law.return_tensor(stress, strengths, lame, shear, features)
@@ -265,7 +264,7 @@ def plastic_return(stress: ti.template(), strengths: ti.template(), lame, shear,
         s1, s2, s3 = p + a1, p + a2, p + a3
         t1, t2, t3, opened = features.law.return_principal(s1, s2, s3, strengths, lame, shear, features)
         g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
-        # Of the deviator: where it is small against the mean, rounding could make s1 = s3 but not d = 0.
+        # From the deviator: if it is small against the mean, rounding could make s1 = s3 but not d = 0.
         g12 = clamp((g1 - g2) / maximum(a1 - a2, TINY), -1.0, 0.0)
         g23 = clamp((g2 - g3) / maximum(a2 - a3, TINY), -1.0, 0.0)
         g123 = (g12 - g23) / maximum(a1 - a3, TINY)

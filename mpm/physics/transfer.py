@@ -11,19 +11,19 @@ dx the cell (Hu et al. 2018; APIC: Jiang et al. 2015; AFLIP: Fei et al. 2021, eq
     C_p     = (4 / dx^2) sum_i w_ip v_i* x_ip^T
     x_p     = x_p + dt sum_i w_ip v_i*
 
-What the grid cannot represent of a particle's velocity decays with the relaxation time tau, a time of the scene and not
-of the step. APIC is tau = 0: it loses that part in every step, so that a shorter step or a stiffer sand, which needs
-shorter steps, makes the flow more viscous. The difference of momentum and velocity needs f_i apart from (m v)_i.
+The part of a particle's velocity that the grid cannot represent decays with the relaxation time tau, which belongs to
+the scene, not to the step. APIC is tau = 0: it loses that part in every step, so that a shorter step, or a stiffer sand
+that needs one, makes the flow more viscous. The change of the velocity needs f_i apart from (m v)_i.
 
-While v_p is kept, C_p is made anew of it in every step. Where particles that bear nothing cross, the energy of their
-affine motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction, what C_p of such a particle has
-without the forces of the step therefore never grows beyond C_s = sqrt(2 g / dx), which lifts it by a quarter of a cell:
+While v_p is kept, C_p is computed anew in every step. Where stress-free particles cross, this would create the energy
+of their affine motion, m_p dx^2 / 8 C_p : C_p. With volume correction, the C_p of such a particle, without the forces
+of the step, therefore never exceeds C_s = sqrt(2 g / dx), which lifts it by a quarter of a cell:
 
     C_p = C_p* - kappa (1 - max(|C_p|, C_s) / |C_p'|)_+ C_p',    C_p' = (4 / dx^2) sum_i w_ip v_i x_ip^T
-with C_p* the above. C carries no momentum, so that none is lost.
+with C_p* from the equation above. C carries no momentum, so none is lost.
 
-What belongs to a particle is computed for a block of them at once, in vectors of lanes, and left in `scratch`; then
-single lanes are summed at the nodes. A node is given its value at the lowest one, and a slope per axis.
+Quantities of particles are computed for a block at once, in vectors of lanes, and stored in `scratch`; then single
+lanes are summed at the nodes. A particle's contribution is its value at its lowest node and a slope per axis.
 """
 
 import taichi as ti
@@ -63,7 +63,7 @@ def property_of(scene, block, column: ti.template(), arrays: ti.template()):
 
 @ti.func
 def volume_of(scene, block, arrays: ti.template()):
-    """Initial volume [m^D] of the particles of a block, 0 of those that have left the box."""
+    """Initial volume [m^D] of the particles of a block, 0 for those that have left the box."""
     features = arrays.features
     if ti.static(features.outflow):
         here = arrays.state[block * features.state.size + features.state.present]
@@ -74,7 +74,7 @@ def volume_of(scene, block, arrays: ti.template()):
 
 @ti.func
 def lowest_column(arrays: ti.template(), scratch, lane, table, deep):
-    """Of the particle in `lane` the column of its lowest node, of those from `table` on, `deep` along z, and its j."""
+    """Column of the lowest node of the particle in `lane`, and its j; columns count from `table`, `deep` along z."""
     features = arrays.features
     at = no_overflow(scratch * features.lanes + lane) + features.scratch.lowest * features.lanes
     column = table + ti.cast(arrays.scratch_lanes[at], ti.i32) * deep
@@ -122,9 +122,9 @@ def particles_to_grid(worker, scene, arrays: ti.template()):
 
 @ti.func
 def number_to_grid(table, block, k, deep, arrays: ti.template()):
-    """Add the k-th of the numbers that a block of one particle has left to its nodes in the columns from `table` on.
+    """Add the k-th of the numbers that a block of one particle has stored to its nodes in the columns from `table` on.
 
-    On a GPU, where each number has a thread: those of a node, neighbours in memory, are added in one transaction.
+    On a GPU each number has a thread: those of a node, neighbours in memory, are added in one transaction.
     """
     features = arrays.features
     scratch = no_overflow(block * features.scratch.size)
@@ -147,14 +147,14 @@ def number_to_grid(table, block, k, deep, arrays: ti.template()):
 
 @ti.func
 def weights_of(scene, block, scratch, per_dx, arrays: ti.template()):
-    """Leave in `scratch` the weights and lowest nodes of a block; its places above these nodes [cells], D vectors."""
+    """Store weights and lowest nodes of a block in `scratch`; return its positions above these nodes [cells], [D]."""
     features = arrays.features
     first = no_overflow(block * features.state.size)
     f = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
     for k in ti.static(range(features.dimension)):
         low = ti.floor(f[k] - 0.5)
         if ti.static(features.outflow):
-            # What has left through an open side, without mass, stays on the grid.
+            # A particle that has left through an open side, without mass, stays on the grid.
             low = clamp(low, 0.0, ti.cast(arrays.offsets[scene, Offset.CELLS_X + k] + (2 * PADDING - 2), float))
         arrays.scratch[scratch + features.scratch.lowest + k] = low
         # From 0.5 to 1.5 cells above the lowest node.
@@ -168,7 +168,7 @@ def weights_of(scene, block, scratch, per_dx, arrays: ti.template()):
 
 @ti.func
 def prepare_contributions(scene, block, scratch, arrays: ti.template()):
-    """Leave in `scratch` the weights, lowest nodes, values and slopes of a block."""
+    """Store in `scratch` the weights, lowest nodes, values and slopes of a block."""
     features = arrays.features
     first = no_overflow(block * features.state.size)
     dx = arrays.settings[scene, Setting.CELL]
@@ -201,7 +201,7 @@ def prepare_contributions(scene, block, scratch, arrays: ti.template()):
 
 @ti.func
 def leave_contributions(scene, block, scratch, mass, volume, f: ti.template(), dx, arrays: ti.template()):
-    """Leave in `scratch` the values and slopes of a block, without those of contact."""
+    """Store in `scratch` the values and slopes of a block, without those of contact."""
     features = arrays.features
     first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
     velocity = vectors(arrays.state, first + features.state.velocity, features.dimension)
@@ -234,8 +234,8 @@ def leave_contributions(scene, block, scratch, mass, volume, f: ti.template(), d
 
 @ti.func
 def contributions(carried: ti.template(), mass, volume, f: ti.template(), dx, features: ti.template()):
-    """What a particle gives to the node that lies `f` cells below it: momentum, D x D slopes of it per cell row by row,
-    and the force and its slopes. carried: its velocity, C and stress.
+    """Contribution of a particle to the node that lies `f` cells below it: momentum, its D x D slopes per cell row by
+    row, and the force and its slopes. carried: its velocity, C and stress.
     """
     velocity, affine, stress = carried
     # Lengths on the grid are in cells: times dx.
@@ -255,7 +255,7 @@ def contributions(carried: ti.template(), mass, volume, f: ti.template(), dx, fe
 
 @ti.func
 def contributions_of_contact(pushed: ti.template(), volume, f: ti.template(), dx, dimension: ti.template()):
-    """What the `surface_force` of solids, `pushed`, adds to that force and its slopes."""
+    """The part of the `surface_force` of solids, `pushed`, in that force and its slopes."""
     force_scale = -4.0 * volume * (1.0 / dx)
     pull = [volume * pushed[i] for i in ti.static(range(dimension))]
     square = ti.static(range(dimension**2))
@@ -276,7 +276,7 @@ def particles_in(scene, block, arrays: ti.template()):
 
 @ti.func
 def grid_to_block(table, scene, block, scratch, per_dx, kappa, arrays: ti.template()):
-    """Give a block the motion of its nodes in the columns from `table` on, v and C, and where asked their mass."""
+    """Give a block the motion of its nodes in the columns from `table` on, v and C, and their mass if needed."""
     deep = columns_deep(scene, arrays)
     features, lanes = arrays.features, arrays.features.lanes
     first = no_overflow(block * features.state.size)
@@ -311,14 +311,14 @@ def grid_to_block(table, scene, block, scratch, per_dx, kappa, arrays: ti.templa
 
 @ti.func
 def node_sums(grid, column, j, deep, weight, lever, arrays: ti.template()):
-    """Sums over a particle's nodes, from node j of `column` on, times its weights, and times its levers by axis."""
+    """Sums over a particle's nodes, from node j of `column` on, with its weights and with its levers by axis."""
     lanes = arrays.features.lanes
     wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
     lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
     both = [pair_of(wy[c], ly[c], arrays) for c in ti.static(range(3))]
-    # The sum and that by levers along y, side by side.
+    # The sum with weights and the sum with levers along y, side by side.
     v, x_slope, z_slope = zero_pair(), zero_node(), zero_node()
-    # Sums along a column first: they share the weights of the others.
+    # Sums along a column first: its nodes share the other weights.
     for a in ti.static(range(3)):
         u, t = zero_pair(), zero_node()
         first = no_overflow(column + a * deep)
@@ -339,16 +339,16 @@ def node_sums(grid, column, j, deep, weight, lever, arrays: ti.template()):
 
 @ti.func
 def three_vectors(arrays: ti.template(), at):
-    """Three vectors of lanes of `scratch`, one after the other, in the lane that `at` is the first number of."""
+    """Numbers of three successive vectors of `scratch` in one lane; at: the place of the first."""
     lanes = arrays.features.lanes
     return arrays.scratch_lanes[at], arrays.scratch_lanes[at + lanes], arrays.scratch_lanes[at + 2 * lanes]
 
 
 @ti.func
 def share_sums(first, scratch, loose, arrays: ti.template()):
-    """Put the sums of a block in their places: the grid's velocity at each particle, its change, and C.
+    """Store the sums of a block: the grid's velocity at each particle, its change, and C.
 
-    In a loose block C is left to `hold_affine`; and the grid's mass [kg] and its slopes [kg/m].
+    In a loose block `hold_affine` sets C; this also stores the grid's mass [kg] and its slopes [kg/m].
     """
     features = arrays.features
     size = ti.static(features.dimension)
@@ -377,7 +377,7 @@ def share_sums(first, scratch, loose, arrays: ti.template()):
 
 @ti.func
 def hold_affine(scene, block, scratch, kappa, arrays: ti.template()):
-    """Leave C of the particles of a block, that of those in a spray held back."""
+    """Store C of the particles of a block; it is limited for particles in a spray."""
     features = arrays.features
     first = no_overflow(block * features.state.size)
     count = ti.static(features.dimension**2)

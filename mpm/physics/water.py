@@ -1,7 +1,7 @@
 """Pore water of saturated material: the pressure p beside the effective stress sigma' of the grains.
 
-The stress of the mixture is sigma' - p I; strength is that of sigma'. Grains and water move together but for Darcy's
-flow (Terzaghi 1923; Biot 1941, of grains that cannot be compressed):
+The stress of the mixture is sigma' - p I; the strength depends on sigma'. Grains and water move together except for
+Darcy flow (Terzaghi 1923; Biot 1941, with incompressible grains):
 
     dp/dt = Q [div(kappa (grad p - rho_w g)) - div v]
 
@@ -12,37 +12,37 @@ the reasons of all this are in docs/theory/pore-water.md). A step is
     delta + L f = -Q e_c + dt Q kappa div(grad p_c - rho_w g),   f = max(p_c + delta, -u_c) - max(p_c, -u_c)
     p_p <- p_c + delta_c + s_c . (x_p - x_c)
 
-with the slope s_c of p_c between the neighbours of a cell and its centre of mass x_c: so a linear pressure stays as it
-is, and what particles keep of other cells is gone. L = -(dt Q kappa + (dt c)^2) Laplace, c^2 = Q / rho: backward in
-time for the flow of water, and for its pressure waves as much, so that these do not shorten the step. L acts on the
-change f of what presses, down to the suction u that water bears: pores that are open carry no waves and pass nothing
-on; were it to act on delta itself, it would smooth over the neighbours how far pores have opened.
+with the slope s_c of p_c between the neighbours of a cell and its centre of mass x_c: a linear pressure stays
+unchanged, and particles keep no pressure from other cells. L = -(dt Q kappa + (dt c)^2) Laplace, c^2 = Q / rho: it is
+backward in time for the flow of water and for its pressure waves, so that these do not shorten the step. L acts on the
+change f of the acting pressure, bounded below by the suction u that water bears: open pores carry no waves and pass
+nothing on. If L acted on delta itself, it would smooth the opening of pores over the neighbours.
 
-**Grains** strain by the water that flows: full pores keep their volume, and what the numerical Q lets it change is no
-strain of the skeleton. The volume strain of the grains of a particle in a step is
+**Grains** strain with the water that flows: full pores keep their volume, and the change of volume due to the numerical
+Q is no strain of the skeleton. The volume strain of the grains of a particle in a step is
 
     e_g = e_c - w_c - (q_p - change of max(p_p, 0)) / Q,    w_c = -waves (L f)_c / Q
 
-with q_p the part of the change of p_p that is not delta_c, by which particles of a cell share their pressure, and w_c
-the strain that the waves' part of L takes away.
+with q_p the part of the change of p_p other than delta_c, by which particles of a cell equalise their pressure, and w_c
+the strain that the waves' part of L removes.
 
-Projected Gauss-Seidel sweeps (Cryer 1971) over red and black cells solve the system, from delta without L on: a few
-keep it stable, and a uniform strain is exact before the first.
+Projected Gauss-Seidel sweeps (Cryer 1971) over red and black cells solve the system, starting from delta without L: a
+few keep it stable, and a uniform strain is exact before the first.
 
-Where a cell has no saturated neighbour is a surface, with p = 0, or something solid, which is tight or a drain: a wall
-of the box or what particles in the cell touch. A gap of one cell between two others is neither. Through a surface water
-leaves and enters; it draws in what little that takes by a suction of the grains' mean effective stress at most. At a
-tight solid nothing flows, and the slope there is that at rest; a surface lies as far from the centre of mass of a cell
-as what fills it from the other side tells.
+Where a cell has no saturated neighbour, there is either a surface, with p = 0, or a solid, which is tight or a drain: a
+wall of the box, or a solid touched by particles in the cell. A gap of one cell between two others is neither. Water
+leaves and enters through a surface; for the little that enters, the suction is at most the mean effective stress of the
+grains. At a tight solid nothing flows, and the slope is hydrostatic. The distance of a surface from the centre of mass
+of a cell follows from the filling of the cell.
 
-**Dilation.** Where a material of the scene dilates, water bears a suction up to that of cavitation, and no more than
-presses grains on each other; it ends with the dilation (`softening_length`).
+**Dilation.** If a material of the scene dilates, water bears a suction up to cavitation, and no more than the pressure
+between grains; it ends with the dilation (`softening_length`).
 
-**Opening.** Else water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes
-before it presses again. Grains do the same with their gap e (`mpm.physics.volume_correction`). Such strain drifts. So
-where both are open, p < 0 and e > 0, the gap follows the density of the grid down, e <- min(e, its value there), and
-what it loses is volume strain of the particle, by which p grows. It never follows the density up: such a gap could not
-close while water fills it. For the same reason all that opens at a solid is strain.
+**Opening.** Otherwise water bears no tension: forces use max(p, 0), while p falls below 0, so that an opening closes
+before the water presses again. Grains do the same with their gap e (`mpm.physics.volume_correction`). Such strain
+drifts. So where both are open, p < 0 and e > 0, the gap follows the density of the grid down, e <- min(e, its value
+there), and its decrease is a volume strain of the particle, which raises p. It never follows the density up: such a gap
+could not close while water fills it. For the same reason all opening at a solid counts as strain.
 """
 
 import taichi as ti
@@ -57,15 +57,15 @@ from mpm.physics.pore_pressure import suction_held
 from mpm.physics.transfer import lowest_column, particles_in, property_of, volume_of
 from mpm.physics.water_cells import solve_cells
 
-MOST = 10.0  # diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice
-STEEPEST = 3.0  # deviator over mean pressure that no grains without cohesion bear [-]
-DAMPING = 0.5  # part of the last f by which the pressure in the forces is ahead: it damps the water's pressure waves
-LEANING = 0.05  # least component of a solid's normal along an axis by which it closes the cells' faces across that
+MOST = 10.0  # cap on the diffusion number dt Q kappa / dx^2: such water drains before the grains react
+STEEPEST = 3.0  # deviator over mean pressure that no cohesionless grains can bear [-]
+DAMPING = 0.5  # share of the last f added to the pressure in the forces: it damps the water's pressure waves
+LEANING = 0.05  # least component of a solid's normal along an axis for which it closes cell faces across the axis
 
 
 @ti.func
 def find_cells(scene, block, scratch, arrays: ti.template()):
-    """Leave in `scratch` the cells of a block, D vectors, and its places from their middles [cells], D more."""
+    """Store in `scratch` the cells of a block, D vectors, and its positions from their centres [cells], D more."""
     features = arrays.features
     first, at = no_overflow(block * features.state.size), scratch + features.scratch.lowest
     for k in ti.static(range(features.dimension)):
@@ -100,7 +100,7 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
         if ti.static(k < features.dimension):
             arrays.scratch[values + Pore.CENTRE_X + k] = weight * arrays.scratch[places + features.dimension + k]
     stress = vectors(arrays.state, first + features.state.stress, 3)
-    # Water that does not flow draws none in.
+    # Without flow no water is drawn in.
     drawn = 1.0 if features.dilates else arrays.settings[scene, Setting.SEEPAGE]
     arrays.scratch[values + Pore.SUCTION] = weight * drawn * suction_held(stress, True)
     faces = places + 2 * features.dimension
@@ -109,7 +109,7 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
     turn("to_rows", values, scratch + features.scratch.rows, arrays)
     for lane in range(particles_in(scene, block, arrays)):
         given = arrays.rows[no_overflow(rows + 4 * lane)]
-        # What has left the box, without volume, may be beyond the nodes of its column.
+        # A particle that has left the box, without volume, may be beyond the nodes of its column.
         if given[Pore.VOLUME] > 0.0:
             cell = cell_of(scratch, lane, table, deep, arrays)
             sums = arrays.cells[2 * cell] + given
@@ -122,7 +122,7 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
 
 @ti.func
 def closed_faces(block, arrays: ti.template()):
-    """The faces of their cells that solids close which the particles of a block touch, as `Pore.CLOSED`."""
+    """The faces of cells that are closed by solids touched by the particles of a block, as `Pore.CLOSED`."""
     delta = arrays.state[contact_at(block, Contact.DELTA, arrays)]
     near, none, closed = delta > 0.0, 0.0 * delta, 0.0 * delta
     for k in ti.static(range(arrays.features.dimension)):
@@ -134,7 +134,7 @@ def closed_faces(block, arrays: ti.template()):
 
 @ti.func
 def update_water(thread, scene, dt, arrays: ti.template()):
-    """Bring the pore pressure of a thread's particles forward by a step, after their new places and strains."""
+    """Advance the pore pressure of a thread's particles by a step, after their positions and strains."""
     square = arrays.settings[scene, Setting.CELL] ** 2
     diffusion = ti.min(dt * arrays.settings[scene, Setting.WATER_DIFFUSION] / square, MOST)
     stiffness = diffusion + dt * dt * arrays.settings[scene, Setting.WATER_WAVE] / square
@@ -148,7 +148,7 @@ def update_water(thread, scene, dt, arrays: ti.template()):
 
 @ti.func
 def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
-    """Pore pressure of the particles of a block from that of their cells; their grains get the strain of these."""
+    """Set the pore pressure of the particles of a block, and the strain of their grains, from their cells."""
     features, lanes, deep = arrays.features, arrays.features.lanes, columns_deep(scene, arrays)
     first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
     rows, places = (scratch + features.scratch.rows) * lanes // NODE, scratch + features.scratch.lowest
@@ -184,20 +184,20 @@ def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
 
 @ti.func
 def share_strain(scene, block, strain, arrays: ti.template()):
-    """Give the grains of a block `strain` [-], by which the volume strain of their cells exceeds their own."""
+    """Give the grains of a block the `strain` [-] by which the volume strain of their cells exceeds their own."""
     features, first = arrays.features, no_overflow(block * arrays.features.state.size)
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     stress, gap = first + features.state.stress, first + features.state.gap
     opened, change = arrays.state[gap], (lame + shear * (2.0 / 3.0)) * strain
     if ti.static(features.cohesive or not features.volume_correction):
         if ti.static(features.volume_correction):
-            # Cracks close alone.
+            # An open crack closes by its own strain only.
             change = ti.select(opened > 0.0, 0.0, change)
         for k in ti.static(range(3)):
             arrays.state[stress + k] = arrays.state[stress + k] + change
     else:
-        # What is open closes before it bears, and grains that would pull open. Where they bear next to nothing their
-        # deviator ends too, continuously: the return map has not seen this strain.
+        # An opening closes before grains carry stress, and grains under tension open. Where they carry almost nothing,
+        # the deviator vanishes continuously, too: the return map has not seen this strain.
         mean = (arrays.state[stress] + arrays.state[stress + 1] + arrays.state[stress + 2]) / 3.0
         level = opened + change + mean
         arrays.state[gap], level = maximum(level, 0.0), minimum(level, 0.0)

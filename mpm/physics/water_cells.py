@@ -1,8 +1,8 @@
 """The pressure of water in the cells of the grid: the system of `mpm.physics.water`, its sources and its sweeps.
 
-A cell is a worker's that computes the node below it (`mpm.physics.grid.owns`). In a shared scene it holds what the
-particles of all workers have given, summed in their order, and the others get what becomes of it: the result is the
-same to the bit on any number of threads.
+A cell belongs to the worker that computes the node below it (`mpm.physics.grid.owns`). In a shared scene the cell holds
+the sum of the contributions of all workers, in their order, and the other workers get a copy of its result: the result
+is the same to the bit on any number of threads.
 """
 
 import taichi as ti
@@ -14,7 +14,7 @@ from mpm.arrays.layout import PADDING, Beside, Face, Offset, Pore, Setting, Span
 from mpm.physics.boundary import is_wall
 from mpm.physics.grid import has_node, own_node, owner_of, owns
 
-FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12  # so many, more by the Laplacian's coefficient over dx^2, at most
+FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12  # least number; addition per coefficient of the Laplacian / dx^2; most
 
 
 @ti.func
@@ -25,7 +25,7 @@ def number(array: ti.template(), cell, which: ti.template()):
 
 @ti.func
 def solve_cells(thread, scene, stiffness, diffusion, arrays: ti.template()):
-    """The change of the pressure in the cells, from what the particles of all workers have given to them."""
+    """The change of the pressure in the cells, from the contributions of the particles of all workers."""
     first, end = workers_of(thread, arrays)
     synchronise(thread, arrays)
     for worker in range(first, end):
@@ -52,7 +52,7 @@ def solve_cells(thread, scene, stiffness, diffusion, arrays: ti.template()):
 
 @ti.func
 def listed_cell(worker, n, of_evens, arrays: ti.template()):
-    """The n-th of the cells that `list_cells` has listed, of every other one or of the rest."""
+    """The n-th cell listed by `list_cells`, among the even or the odd ones."""
     line = arrays.workers[worker, Worker.NODE] + n
     if not of_evens:
         line = arrays.workers[worker, Worker.NODE] + arrays.workers[worker, Worker.USED] - 1 - n
@@ -92,7 +92,7 @@ def list_cells(worker, scene, arrays: ti.template()):
 
 @ti.func
 def given_to_cell(column, j, arrays: ti.template()):
-    """What the particles of all workers have given to a cell of a shared scene."""
+    """The contributions of the particles of all workers to a cell of a shared scene."""
     total = 0.0 * arrays.cells[0]
     for other in range(arrays.workers.shape[0]):
         if has_node(other, column, j, arrays):
@@ -105,7 +105,7 @@ def given_to_cell(column, j, arrays: ti.template()):
 
 @ti.func
 def pass_cells_on(worker, scene, arrays: ti.template()):
-    """Give the other workers of a shared scene what has become of the cells of one."""
+    """Copy the results in the cells of one worker of a shared scene to the other workers."""
     even = arrays.workers[worker, Worker.EVEN]
     for n in range(even + arrays.workers[worker, Worker.ODD]):
         cell = listed_cell(worker, n if n < even else n - even, n < even, arrays)
@@ -122,7 +122,7 @@ def pass_cells_on(worker, scene, arrays: ti.template()):
 
 @ti.func
 def neighbour(place, face: ti.template(), steps: ti.template(), worker, scene, arrays: ti.template()):
-    """The cell so many steps beyond a face of that at `place`, (column of the box, j); -1 where none with water is."""
+    """The cell `steps` beyond a face of the cell at `place`, (column of the box, j); -1 if there is none with water."""
     axis = ti.static(face // 2)
     towards = ti.static(steps * (2 * (face % 2) - 1))
     column, j, result = place[0], place[1], -1
@@ -167,13 +167,13 @@ def beyond_face(cell, place, next_cell, face: ti.template(), worker, scene, arra
 
 @ti.func
 def below_surface(sums, face: ti.template()):
-    """How far the centre of mass of a cell lies below a surface beyond a face [cells]: what fills it lies opposite."""
+    """Distance from the centre of mass of a cell to a surface beyond a face [cells]: its material lies opposite."""
     return ti.max(0.5 + ti.static(2 * (face % 2) - 1) * sums[Pore.CENTRE_X + ti.static(face // 2)], 0.25)
 
 
 @ti.func
 def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.template()):
-    """The change of the pressure of a cell explicit in time, its slope, the diagonal of the system, its neighbours."""
+    """The explicit change of the pressure of a cell, its slope, the diagonal of the system and the neighbours."""
     features, dx = arrays.features, arrays.settings[scene, Setting.CELL]
     sums, table = arrays.cells[2 * cell], arrays.workers[worker, Worker.COLUMN]
     column, dry = arrays.beside[cell, Beside.COLUMN], arrays.beside.shape[0] - 1
@@ -203,7 +203,7 @@ def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.templat
                 there, here = other[Pore.PRESSURE] + other[Pore.SUCTION], pressure + sums[Pore.SUCTION]
                 step = ti.max(there, 0.0) - ti.max(here, 0.0) - other[Pore.SUCTION] + sums[Pore.SUCTION]
                 flow = (step - weight) / apart
-                # Nothing flows out of pores that are not full.
+                # No water flows out of pores that are not full.
                 if (flow > 0.0 and there > 0.0) or (flow < 0.0 and here > 0.0):
                     inflow += flow
                 rise += away * step
@@ -221,7 +221,7 @@ def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.templat
                 if (outflow > 0.0 and pressure > 0.0) or (outflow < 0.0 and kind == Face.SURFACE):
                     inflow -= outflow
             elif kind == Face.GAP:
-                # Water does not pass it, but what is beside it gives way.
+                # Water does not pass it, but the material beside it gives way.
                 diagonal += (stiffness - diffusion) / below_surface(sums, face)
             elif kind == Face.TIGHT:
                 rise += arrays.settings[scene, Setting.SEEPAGE] * DENSITY * dx * pull[axis]
@@ -238,7 +238,7 @@ def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.templat
 
 @ti.func
 def relax_cell(cell, stiffness, arrays: ti.template()):
-    """One step of projected Gauss and Seidel for the change of the pressure in a cell and of what presses of it."""
+    """One projected Gauss-Seidel step for the change of the pressure in a cell and of the part that presses."""
     given, sums = arrays.cells[2 * cell + 1], arrays.cells[2 * cell]
     total = 0.0 * stiffness
     for face in ti.static(range(2 * arrays.features.dimension)):
@@ -250,7 +250,7 @@ def relax_cell(cell, stiffness, arrays: ti.template()):
     felt = ti.max((full * (pressure - before) + total) * per_diagonal, least - before)
     change = before + felt - pressure
     if before + felt <= least:
-        # Open: what its neighbours press on it has opened it further.
+        # Open: the pressure of its neighbours has opened it further.
         change = felt + (total - felt / per_diagonal) / full
     arrays.cells[2 * cell + 1][Pore.FELT - NODE] = felt
     arrays.cells[2 * cell + 1][Pore.CHANGE - NODE] = change

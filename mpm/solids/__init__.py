@@ -1,1 +1,1 @@
-"""Solids for the kernel: their faces, which of them are near a cell, and the nearest to a particle."""
+"""Solids for the kernel: their faces, those near each cell, and the nearest to a particle."""

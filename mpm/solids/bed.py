@@ -1,8 +1,8 @@
 """The bed of a terrain in 3D: elevations and friction of its raster on a lattice in plan, half a cell apart.
 
-Its B-spline (`mpm.solids.terrain`) is what contact meets. A node has the elevation of the raster's triangles there
-(`datasets.geometry.ground`) or, where posts are closer than nodes, their mean over the square around it; planes stay as
-they are. Friction is bilinear between posts.
+Contact uses the B-spline of the bed (`mpm.solids.terrain`). A node has the elevation of the raster's triangles there
+(`datasets.geometry.ground`) or, if posts are closer than nodes, their mean over the square around it; planes stay
+exact. Friction is bilinear between posts.
 """
 
 import math
@@ -37,7 +37,7 @@ class Bed:
     heights: Floats  # [m], shape [X, Z]
 
     def at_nodes(self, at_posts: Floats) -> Floats:
-        """Numbers of the posts at the nodes, shape [X, Z]."""
+        """Values of the posts interpolated at the nodes, shape [X, Z]."""
         along, across = self.from_posts
         return np.asarray(along @ at_posts @ across.T)
 
@@ -52,7 +52,7 @@ class Bed:
         return self.weights(self.x, self.field.x), self.weights(self.z, self.field.z)
 
     def weights(self, nodes: Floats, posts: Floats) -> Any:
-        """Of the posts at the nodes along one axis, linear between them."""
+        """Weights of the posts at the nodes along one axis, linear between posts."""
         matrix = sparse.csr_array((len(nodes), len(posts)))
         offsets = sample_offsets(self.spacing, posts)
         for offset in offsets:
@@ -63,7 +63,7 @@ class Bed:
         return matrix.tocsr()
 
     def contact(self, points: Floats, frictions: Floats) -> tuple[Floats, Floats, Floats]:
-        """d [m], n and friction [-] at points [m], [N, 3], as the kernel has them of `frictions`; [N], [N, 3], [N]."""
+        """d [m], n and friction [-] at points [m], [N, 3], as in the kernel, from `frictions`; [N], [N, 3], [N]."""
         i, wx, sx = spline(points[:, 0], self.x, self.spacing)
         k, wz, sz = spline(points[:, 2], self.z, self.spacing)
         around = i[:, None, None] + np.arange(3)[:, None], k[:, None, None] + np.arange(3)
@@ -87,7 +87,7 @@ class Bed:
 
 
 def sample_offsets(spacing: float, posts: Floats) -> Floats:
-    """Of samples around a node of the lattice [m]: one where posts are no closer than its nodes."""
+    """Offsets of samples around a node of the lattice [m]: a single one if posts are no closer than nodes."""
     closest = float(np.diff(posts).min())
     count = max(1, min(MOST_SAMPLES, math.ceil(spacing / closest - 1.0e-6)))
     return np.asarray(spacing * ((np.arange(count) + 0.5) / count - 0.5))
@@ -122,7 +122,7 @@ def bed_of(field: HeightField, domain: Domain) -> Bed:
 
 @lru_cache(maxsize=4)
 def frictions_of(bed: Bed, most: float) -> Floats:
-    """Those of the nodes of a bed [-], shape [X, Z], with at most `most` at the posts; [1, 1] where all have one."""
+    """Frictions at the nodes of a bed [-], shape [X, Z], with at most `most` at the posts; [1, 1] if uniform."""
     at_posts = np.minimum(bed.field.friction, most)
     return at_posts if at_posts.size == 1 else bed.at_nodes(at_posts)
 
@@ -132,8 +132,8 @@ def bed_arrays(
 ) -> tuple[Array, Array]:
     """The numbers of all beds, and their elevations at columns of nodes; their places go to `offsets`.
 
-    mosts: the largest Coulomb coefficient in each scene [-]; faces: how many are listed. Scenes of one bed share its
-    numbers.
+    mosts: the largest Coulomb coefficient in each scene [-]; faces: how many are listed. Scenes with the same bed share
+    its numbers.
     """
     numbers, columns, places = [np.zeros(1, real)], [np.zeros(1, real)], dict[tuple[Bed, float], tuple[int, int]]()
     offsets[:, Offset.TERRAIN_FACE] = faces

@@ -1,7 +1,7 @@
-"""Of the faces near a particle the one that is nearest, and the first that its displacement crosses.
+"""The face nearest to a particle, and the first face that its displacement crosses.
 
-Faces are those that are listed for its cell (`mpm.solids.obstacles`). What is found here is what
-`datasets.geometry.nearest` finds for all faces.
+The search covers the faces listed for the particle's cell (`mpm.solids.obstacles`). The result equals that of
+`datasets.geometry.nearest` for all faces.
 """
 
 import taichi as ti
@@ -9,14 +9,14 @@ import taichi as ti
 from mpm.arrays.layout import FIRST_FACE, PADDING, Offset, Setting
 from mpm.solids.terrain import in_terrain
 
-SKIN = 1.0e-3  # cells by which rounding may have put a particle behind the face it rests on
-SLACK = 0.25  # cells by which a particle may be beside its cell and find the nearest face in its list still
+SKIN = 1.0e-3  # cells by which rounding may move a particle behind the face it rests on
+SLACK = 0.25  # cells by which a particle may be outside its cell and still find the nearest face in its list
 TINY = 1.0e-20  # keeps quotients finite
 
 
 @ti.func
 def face_number(value):
-    """The number of a face from that which stands among reals."""
+    """The number of a face from its value stored as a real."""
     return ti.cast(value, ti.i32) + FIRST_FACE
 
 
@@ -28,7 +28,7 @@ def listed_vector(face, column, arrays: ti.template()):
 
 @ti.func
 def corners_of(face, arrays: ti.template()):
-    """The corners of a face [m], three vectors of shape [D]; the last of a segment twice."""
+    """The corners of a face [m], three vectors of shape [D]; a segment repeats its last."""
     size = ti.static(arrays.features.dimension)
     last = ti.static(size * (size - 1))
     return listed_vector(face, 0, arrays), listed_vector(face, size, arrays), listed_vector(face, last, arrays)
@@ -61,7 +61,7 @@ def solid_of(face, scene, arrays: ti.template()):
 
 @ti.func
 def entry_of(node, scene, arrays: ti.template()):
-    """The entry of a node, [D], or of the cell above it in `cell_faces`, `node_holds` and `covered`; -1 without one."""
+    """The entry of a node, [D], or of the cell above it in `cell_faces`, `node_holds` and `covered`; -1 if none."""
     entry, inside = 0, True
     for k in ti.static(range(arrays.features.dimension)):
         along = node[k] - arrays.offsets[scene, Offset.WINDOW_LOW_X + k]
@@ -84,7 +84,7 @@ def cell_of(x, scene, arrays: ti.template()):
 
 @ti.func
 def list_of(entry, arrays: ti.template()):
-    """Where the faces listed for a cell begin in `near_faces`, and how many they are."""
+    """Start of the faces listed for a cell in `near_faces`, and their number."""
     first, count = 0, 0
     if ti.static(arrays.features.listed):
         if entry >= 0:
@@ -95,7 +95,7 @@ def list_of(entry, arrays: ti.template()):
 
 @ti.func
 def holds_of_node(entry, arrays: ti.template()):
-    """From which of `holds` to before which those of a node are, by its entry."""
+    """The range [first, end) of the holds of a node in `holds`, by its entry."""
     first, end = 0, 0
     if ti.static(arrays.features.listed):
         if entry >= 0:
@@ -125,7 +125,7 @@ def unlisted_distance(x, entry, scene, arrays: ti.template()):
 
 @ti.func
 def first_crossed(start, end, entry, cell, arrays: ti.template()):
-    """The first face through which the segment from `start` to `end` [m] enters a solid, -1 where it enters none, its
+    """The first face through which the segment from `start` to `end` [m] enters a solid, -1 if it enters none, with its
     first corner and its normal. entry: of the cell of its start.
     """
     nearest, crossed, corner, facing = 0.0 * cell + 2.0, -1, 0.0 * start, 0.0 * start
@@ -154,7 +154,7 @@ def crossed_part(start, end, a, b, c, normal, cell, arrays: ti.template()):
 
 @ti.func
 def covers_point(a, b, c, normal, point, arrays: ti.template()):
-    """Whether a point [m] in the plane of a face lies in it, or by rounding beside it."""
+    """Whether a point [m] in the plane of a face lies in the face, up to rounding."""
     if ti.static(arrays.features.dimension == 2):
         t = (point - a).dot(b - a) / (b - a).dot(b - a)
         return t > 0.0 - SKIN and t < 1.0 + SKIN
@@ -210,7 +210,7 @@ def foot_on_triangle(x, a, b, c):
 
 @ti.func
 def foot_on_face(x, a, b, c, arrays: ti.template()):
-    """Of the foot of `x` [m] on a face: the weights of its corners, the part it lies on, and x less the foot [m]."""
+    """For the foot of `x` [m] on a face: the weights of the corners, the part it lies on, and x minus the foot [m]."""
     w, part, from_foot = 0.0 * x, 0, x
     if ti.static(arrays.features.dimension == 2):
         w, part = foot_on_segment(x, a, b)
@@ -223,9 +223,9 @@ def foot_on_face(x, a, b, c, arrays: ti.template()):
 
 @ti.func
 def nearest_face(x, last, entry, scene, arrays: ti.template()):
-    """Of the faces listed for a cell that nearest to `x` [m]: its number, its part that is nearest, the weights of its
+    """The face nearest to `x` [m] among those listed for a cell: its number, its nearest part, the weights of its
     corners at the foot, the normal n [-] and the signed distance d [m], negative inside, with x = foot + d n; and a
-    lower bound of the distance from all that was not looked at [m]. last: where to look first.
+    lower bound of the distance from all faces not examined [m]. last: the face to try first.
     """
     smallest, bound = 0.0 * x[0] + 1.0e30, unlisted_distance(x, entry, scene, arrays)
     face, feature = last, -1
@@ -244,7 +244,7 @@ def nearest_face(x, last, entry, scene, arrays: ti.template()):
                 square = from_foot.dot(from_foot)
                 if square < smallest:
                     smallest, face, feature, weights, offset = square, candidate, part, w, from_foot
-    # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
+    # The face's own normal, or at a corner or edge the mean of neighbouring normals (Baerentzen & Aanaes 2005).
     column = arrays.features.face.normal + ti.max(feature, 0) * arrays.features.dimension
     normal = listed_vector(face, column, arrays)
     d = offset.dot(normal)
@@ -288,12 +288,12 @@ def margin(x, weights, part, a, b, c, arrays: ti.template()):
 
 @ti.func
 def free_path(x, face, feature, weights, normal, d, entry, cell, scene, arrays: ti.template()):
-    """How far a particle at `x` [m] outside of the solids may move and be nearest to the same part of `face` still [m],
-    less than zero of an edge.
+    """How far a particle at `x` [m] outside the solids may move and still be nearest to the same part of `face` [m];
+    negative for an edge.
 
-    Its foot has to stay there, on all faces of an edge, it near its cell, and no other face, of the inside of one none
-    that lies in part in front of it, may come nearer: both distances change by no more than its path. 0 where the
-    friction varies along the face.
+    Its foot has to stay on that part (for an edge, of all its faces), the particle near its cell, and no other face may
+    come nearer (for the inside of a face, no face that lies partly in front of it): both distances change by at most
+    its path. 0 if the friction varies along the face.
     """
     dimension = ti.static(arrays.features.dimension)
     a, b, c = corners_of(face, arrays)
@@ -307,7 +307,7 @@ def free_path(x, face, feature, weights, normal, d, entry, cell, scene, arrays: 
         free = ti.min(free, ti.min(above, cell - above) + SLACK * cell)
     for number in range(listed):
         p, q, r = corners_of(arrays.near_faces[first + number], arrays)
-        # Whether it lies in part in front of the plane of `face`.
+        # Whether it lies partly in front of the plane of `face`.
         in_front = ti.max((p - a).dot(normal), (q - a).dot(normal), (r - a).dot(normal)) > SKIN * cell
         if feature > 0 or in_front:
             w, part, from_foot = foot_on_face(x, p, q, r, arrays)

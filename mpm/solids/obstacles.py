@@ -1,26 +1,26 @@
 """The solids in the box for the kernel: faces near cells, holds of nodes deep inside, contact at the start.
 
-**Window.** What is listed of cells and of nodes is so in a box around the faces alone; outside of it nothing is near
-one. Cells and nodes are numbered alike in it, the last axis fastest: a cell by its lowest node.
+**Window.** Cells and nodes have lists only in a box around the faces; outside of it no face is near. Cells and nodes
+are numbered alike in the box, the last axis fastest: a cell has the number of its lowest node.
 
-**Terrain.** A terrain in 3D stands in no list. The kernel finds its bed by the place in plan (`mpm.solids.terrain`),
-beside the face that is nearest, and holds nodes by it after what listed faces leave of their velocity.
+**Terrain.** A terrain in 3D is not listed. The kernel finds its bed by the place in plan (`mpm.solids.terrain`), in
+addition to the nearest face, and the bed holds nodes after the listed faces have acted on their velocity.
 
 **Lists.** A point p of a cell with centre c and half diagonal h has d(c, F) - h <= d(p, F) <= d(c, F) + h from a face
 F. So F can be the nearest one of a point at a distance of at most `cutoff` only where d(c, F) <= min(smallest + 2 h,
 cutoff + h), `smallest` being the distance of c from its nearest face, and a displacement of at most a cell `dx` that
-starts in the cell can cut F only where d(c, F) <= h + dx. With h of a cell that is larger by `SLACK` on all sides the
-first holds for the places around it, too: a particle need not search anew at the moment in which it leaves its cell.
+starts in the cell can cut F only where d(c, F) <= h + dx. With h of a cell enlarged by `SLACK` on all sides, the first
+also holds for places around the cell: a particle need not search anew as soon as it leaves its cell.
 
-**Holds.** A node in a solid is held by every face that it lies behind and that is nearly the nearest, each with a share
-that is continuous in the place of the solid. With d_k the distance of face k, N_k its normal and n_k the direction from
-the node to its nearest point, b = `BLEND` and s a smooth step of the depth over `FADE`,
+**Holds.** A node in a solid is held by every face that it lies behind and that is almost the nearest, each with a share
+that is continuous in the position of the solid. With d_k the distance of face k, N_k its normal and n_k the direction
+from the node to its nearest point, b = `BLEND` and s a smooth step of the depth over `FADE`,
 
     share_k = s(min d) w_k / sum_l w_l,    w_k = (n_k . N_k)_+ (1 - (d_k - min d) / b)_+^2
 
-**Covered walls.** A floor under a terrain takes no part, nor a wall behind a lining. A node at or beyond a side of the
-box has no wall where the side lies in a solid, at the node and a cell around it, as far as its material reaches:
-beside a solid that stands on the floor the floor remains.
+**Covered walls.** A floor under a terrain or a wall behind a lining has no effect. A node at or beyond a side of the
+box has no wall where the side lies in a solid, at the node and one cell around it, as far as its material reaches:
+beside a solid that stands on the floor, the floor remains.
 """
 
 import dataclasses
@@ -49,14 +49,14 @@ Array = NDArray[Any]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-BLEND = 0.5  # distance beyond that of the nearest face [cells] from which another one holds a node no more
+BLEND = 0.5  # distance beyond the nearest face [cells] from which another face no longer holds a node
 
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
     """A box of cells, and of the nodes at their lowest corners; D dimensions."""
 
-    low: tuple[int, ...]  # the lowest node, as the grid counts from its first padding node, shape [D]
+    low: tuple[int, ...]  # the lowest node, counted from the first padding node of the grid, shape [D]
     shape: tuple[int, ...]  # cells along each axis, shape [D]
     cell: float  # [m]
 
@@ -66,11 +66,11 @@ class Window:
         return math.prod(self.shape)
 
     def positions(self, numbers: Integers) -> Floats:
-        """Of the nodes with these numbers [m], shape [N, D]."""
+        """Positions of the nodes with these numbers [m], shape [N, D]."""
         return np.asarray((self.nodes(numbers) - PADDING) * self.cell)
 
     def numbers(self, nodes: Integers) -> Integers:
-        """Of nodes in it by their indices in the grid, shape [N, D]; shape [N]."""
+        """Numbers of nodes in it from their indices in the grid, shape [N, D]; shape [N]."""
         return np.asarray(np.ravel_multi_index(tuple((nodes - np.array(self.low)).T), self.shape))
 
     def nodes(self, numbers: Integers) -> Integers:
@@ -83,7 +83,7 @@ def window_around(domain: Domain, surface: Surface, cutoff: float) -> Window:
     if not len(surface.corners):
         return Window(low=(0,) * domain.dimension, shape=(0,) * domain.dimension, cell=domain.cell)
     corners = surface.corners.reshape(1, -1, domain.dimension)
-    # Of the centre of a cell that lists a face; a step moves a particle by at most a cell.
+    # Distance of the centre of a cell that lists a face; a step moves a particle by at most a cell.
     limit = (max(cutoff + SLACK * math.sqrt(domain.dimension), 1.0) + 0.5 * math.sqrt(domain.dimension)) * domain.cell
     low, high = (bounds[0] for bounds in boxes_around(domain, corners, limit))
     shape = np.array(node_shape(domain))
@@ -114,20 +114,20 @@ class Obstacles:
     of its solid; see `mpm.arrays.features.Features.face`; shape [F, columns]."""
     cell_faces: Array  # where the list of each cell begins in `near_faces`, shape [C + 1] of each scene
     near_faces: Array  # the faces near the cells
-    cell_distance: Array  # no point of a cell is nearer to a face that its list is without [m], shape [C + 1]
-    node_holds: Array  # where those of each node begin in `holds`, shape [C + 1]
+    cell_distance: Array  # lower bound of a cell's distance to unlisted faces [m], shape [C + 1]
+    node_holds: Array  # where the holds of each node begin in `holds`, shape [C + 1]
     holds: Array  # of each hold its face, the friction there [-] and its share [-], shape [K, 3]
     covered: Array  # of each node the sides of the box that a solid covers, bit k for x-, x+, y-, ..., shape [C + 1]
     windows: tuple[Window, ...]  # of each scene
     beds: tuple[Bed | None, ...]  # of each scene
-    frictions: tuple[Floats, ...]  # of the posts of their terrain [-], [X, Z]; [1, 1] where it is one; empty without
+    frictions: tuple[Floats, ...]  # of the posts of their terrain [-], [X, Z]; [1, 1] if uniform; empty without terrain
 
 
 def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
-    """The solids of several scenes in one, and where each scene's begin in `cell_faces`, `faces` and `holds`, and where
-    the last one's end, shape [scenes + 1, 3].
+    """The solids of several scenes in one; and the start of each scene in `cell_faces`, `faces` and `holds`, with the
+    end of the last, shape [scenes + 1, 3].
 
-    Raises InputError as `datasets.geometry.contact_surface.contact_surface_of`.
+    Raises InputError as `datasets.geometry.contact_surface.contact_surface_of` does.
     """
     parts = [obstacles_in(scene) for scene in scenes]
     counts = [(len(part.cell_faces), len(part.faces), len(part.holds), len(part.near_faces)) for part in parts]
@@ -145,9 +145,9 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
 
 
 def obstacles_in(scene: Scene) -> Obstacles:
-    """The solids of one scene, with faces listed up to a cell beyond the distance that is searched; empty without any.
+    """The solids of one scene, with faces listed up to a cell beyond the search distance; empty without solids.
 
-    A particle from farther away needs more than a step to come within that distance.
+    A particle from farther away needs more than a step to come within the search distance.
     """
     surface = contact_surface_of(scene) or ContactSurface(faces=Surface.empty(scene.dimension), field=None)
     return obstacles_with(surface, scene.domain, farthest(scene), roughest(scene))
@@ -159,8 +159,8 @@ def farthest(scene: Scene) -> float:
 
 
 def holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Window, NDArray[np.int32], Floats, Floats]:
-    """Of `nodes` by their indices, shape [N, D]: a window around them, where the holds of each of its nodes by listed
-    faces begin, these, shape [K, 3], and the normals of their faces, shape [K, D].
+    """For `nodes` by their indices, shape [N, D]: a window around them, the start of the holds of each of its nodes by
+    listed faces, these holds, shape [K, 3], and the normals of their faces, shape [K, D].
     """
     window, surface = window_of(scene.domain, nodes), limited(solid.faces, roughest(scene))
     if not len(surface.corners):
@@ -170,8 +170,8 @@ def holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Wind
 
 
 def bed_holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Floats, Floats, Floats]:
-    """Of `nodes` by their indices, shape [N, D], the share with which the bed of a terrain holds them, its normals,
-    [N, D], and its friction; nothing where none is.
+    """For `nodes` by their indices, shape [N, D]: the share with which the bed of a terrain holds them, its normals,
+    [N, D], and its friction; empty without a bed.
     """
     if solid.field is None:
         return np.zeros(len(nodes)), np.zeros(nodes.shape), np.zeros(len(nodes))
@@ -204,7 +204,7 @@ def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: f
     faces, window = limited(solid.faces, most), window_around(domain, solid.faces, cutoff)
     cell_faces, near_faces = faces_near(window, faces, cutoff=cutoff)
     listed = np.flatnonzero(np.diff(cell_faces))
-    # From another cell the way to a face leads into a listed one, and from there it is still `cutoff` cells long.
+    # From any other cell, the path to a face enters a listed cell and is still `cutoff` cells long from there.
     node_holds, holds, beyond = np.zeros(1, np.int32), np.zeros((0, 3)), np.zeros(0)
     covered = np.zeros(0, np.int32)
     if window.count:
@@ -228,7 +228,7 @@ def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: f
 
 
 def covered_sides(window: Window, domain: Domain, solid: ContactSurface, *, cutoff: float) -> NDArray[np.int32]:
-    """Of each node of a window the sides of the box that a solid covers, as bits, shape [C]."""
+    """For each node of a window, the sides of the box that a solid covers, as bits, shape [C]."""
     shape, cell = node_shape(domain), domain.cell
     covered = np.zeros(window.shape, np.int32)
     for axis, side in itertools.product(range(len(shape)), (0, 1)):
@@ -241,7 +241,7 @@ def covered_sides(window: Window, domain: Domain, solid: ContactSurface, *, cuto
         distance = np.full(len(places), np.inf)
         if len(solid.faces.corners):
             distance = nearest(solid.faces, places, cutoff * cell).distance
-        # What is far from a surface is, beside a place inside, deep in the solid.
+        # A place far from the surface but beside an inside place is deep in the solid.
         inside, deep = distance < -0.5 * SKIN * cell, np.isinf(distance)
         if solid.field is not None:
             ground = bed_of(solid.field, domain).contact(places, np.zeros((1, 1)))[0] < -0.5 * SKIN * cell
@@ -263,7 +263,7 @@ def covered_at(scene: Scene, nodes: Integers) -> NDArray[np.int32]:
 
 
 def holds_of(window: Window, surface: Surface, nodes: Integers, *, cutoff: float) -> tuple[NDArray[np.int32], Floats]:
-    """Where the holds of each node begin, and these, of those `nodes` that are up to `cutoff` cells deep."""
+    """The start of the holds of each node, and these holds, for `nodes` up to `cutoff` cells deep."""
     cell = window.cell
     depth = -nearest(surface, window.positions(nodes), cutoff * cell).distance
     deep = (depth > 0.0) & (depth <= cutoff * cell)
@@ -288,7 +288,7 @@ def holds_of(window: Window, surface: Surface, nodes: Integers, *, cutoff: float
 
 
 def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Where the list of each cell begins among the faces of `surface` that are near cells, and these.
+    """The start of the list of each cell among the faces of `surface` near cells, and these faces.
 
     cutoff: largest distance from the surface that is listed [cells]; a displacement of a step is at most a cell.
     """
@@ -303,7 +303,7 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
         around[tuple(map(slice, first, last))] = True
     numbers = np.flatnonzero(around)
     centres = window.positions(numbers) + 0.5 * cell
-    # Cells and faces whose centre lies within the limit of the face, and how far, by cells and then by faces.
+    # Pairs of a cell, whose centre lies within the limit of a face, and this face; distance; by cell, then face.
     pairs = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
     for point, face in Search(surface).pairs(centres, np.full(len(centres), limit)):
         _, apart, _ = feet(surface.corners[face], centres[point])
@@ -323,7 +323,7 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
 
 
 def contact_delta(distance: Floats, width: float) -> Floats:
-    """delta_h [1/m] of distances [m], as `mpm.physics.boundary.contact_delta` has it."""
+    """delta_h [1/m] of distances [m], as in `mpm.physics.boundary.contact_delta`."""
     q = np.clip(distance / width, 0.0, 1.0)
     return np.asarray(2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q)))
 
@@ -335,14 +335,14 @@ def from_wall(scene: Scene, positions: Floats, side: int) -> Floats:
 
 
 def near_walls(scene: Scene, positions: Floats) -> NDArray[np.bool_]:
-    """Which of `positions` [m], [N, D], are so near a side of the box that water presses on it, [N]."""
+    """Which of `positions` [m], [N, D], are near enough to a side of the box for water to press on it, [N]."""
     width = CONTACT_WIDTH * scene.domain.cell
     away = np.stack([from_wall(scene, positions, side) for side in range(2 * scene.dimension)])
     return np.asarray(away.min(axis=0) < width)
 
 
 def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Contact of particles at `positions` [m], shape [N, D], as the kernel finds it: what `Contact` lists, [N, ...]."""
+    """Contact of particles at `positions` [m], shape [N, D], as in the kernel: the columns of `Contact`, [N, ...]."""
     count, dimension = positions.shape
     contacts = np.zeros((count, len(Contact) - 1 + 2 * dimension))
     contacts[:, Contact.DISTANCE] = np.inf

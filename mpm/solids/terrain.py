@@ -1,12 +1,11 @@
-"""A terrain in 3D as contact finds it: a bed that is smooth below a cell.
+"""Contact with a terrain in 3D: a bed that is smooth below the size of a cell.
 
     H(x, z) = sum_ik w_i(x) w_k(z) H_ik,    d = (y - H) / s,    n = (-H_x, 1, -H_z) / s,    s = sqrt(1 + H_x^2 + H_z^2)
 
 with the elevations H_ik of the raster at the nodes of a lattice in plan, half a cell apart (`mpm.solids.bed`), and
-quadratic B-splines w, as of the transfers. The distance d is that from the plane through (x, H, z) with the normal n:
-it is Euclidean on the bed and beside planes, which are exact. Creases are rounded over a cell, below which the grid has
-no velocities of its own, so that normals never jump, and nine elevations tell the contact of a particle, however rough
-the ground is.
+quadratic B-splines w, as of the transfers. The distance d is measured from the plane through (x, H, z) with the normal
+n: it is exact on the bed and for planes. Creases are rounded over a cell, below which the grid has no velocities of its
+own, so that normals never jump, and nine elevations suffice for the contact of a particle, however rough the ground is.
 
 A node of the grid deep in the bed is held as by a face (`mpm.solids.obstacles`), with d, n and the friction there.
 """
@@ -17,14 +16,14 @@ from mpm.arrays.access import clamp, dot
 from mpm.arrays.layout import BED_FIRST, BED_PER_CELL, PADDING, BedUnder, Offset, Setting, TerrainNumber
 
 FADE = 0.5
-"""Depth [cells] in a solid by which its hold of a node has grown from nothing to all. Where it is three quarters of a
-cell, nodes give way while a bed is laid against the solid, and its thrust is up to 15 % too low."""
-FAR_BELOW = -1.0e30  # elevation [m] of a bed that is not there
+"""Depth [cells] in a solid over which its hold of a node grows from none to full. With three quarters of a cell, nodes
+give way while a bed builds up against the solid, and its thrust is up to 15 % too low."""
+FAR_BELOW = -1.0e30  # elevation [m] of an absent bed
 
 
 @ti.func
 def in_terrain(face, scene, arrays: ti.template()):
-    """Whether the number of a face stands for the scene's bed; known to the compiler where scenes have none."""
+    """Whether the number of a face denotes the scene's bed; constant for the compiler if scenes have none."""
     if ti.static(arrays.features.terrain):
         return face >= arrays.offsets[scene, Offset.TERRAIN_FACE]
     else:
@@ -33,7 +32,7 @@ def in_terrain(face, scene, arrays: ti.template()):
 
 @ti.func
 def bed_spacing(scene, arrays: ti.template()):
-    """Between the nodes of the lattice [m]."""
+    """Distance between the nodes of the lattice [m]."""
     return arrays.settings[scene, Setting.CELL] / BED_PER_CELL
 
 
@@ -45,7 +44,7 @@ def lattice_nodes(axis: ti.template(), scene, arrays: ti.template()):
 
 @ti.func
 def lowest_node(x, axis: ti.template(), scene, arrays: ti.template()):
-    """The number, a real, of the first of the three nodes of the lattice around `x` [m], and its coordinate [m]."""
+    """The number (as a real) of the first of the three lattice nodes around `x` [m], and its coordinate [m]."""
     spacing = bed_spacing(scene, arrays)
     last = ti.cast(lattice_nodes(axis, scene, arrays) - 3, float)
     node = clamp(ti.floor(x / spacing + (BED_FIRST - 0.5)), 0.0 * x, 0.0 * x + last)
@@ -54,7 +53,7 @@ def lowest_node(x, axis: ti.template(), scene, arrays: ti.template()):
 
 @ti.func
 def place_in_bed(i, k, scene, arrays: ti.template()):
-    """Places in `terrain` of a lattice node's elevation and of its friction or the bed's one; the step along x."""
+    """Places in `terrain` of a lattice node's elevation and of its friction, or that of the bed; the stride along x."""
     along, across = lattice_nodes(0, scene, arrays), lattice_nodes(2, scene, arrays)
     height = arrays.offsets[scene, Offset.TERRAIN] + ti.static(len(TerrainNumber)) + i * across + k
     friction = height + along * across
@@ -65,7 +64,7 @@ def place_in_bed(i, k, scene, arrays: ti.template()):
 
 @ti.func
 def varied_friction(scene, arrays: ti.template()):
-    """Whether the friction of a bed is not the same everywhere."""
+    """Whether the friction of a bed varies in space."""
     return arrays.offsets[scene, Offset.TERRAIN_FRICTION] == 1
 
 
@@ -97,7 +96,7 @@ def spline_sums(x: ti.template(), numbers: ti.template(), corner: ti.template(),
 @ti.func
 def bed_contact(x: ti.template(), heights: ti.template(), corner: ti.template(), spacing):
     """y - H [m], d [m] and n of `x` [m], a list; heights: the nine elevations around it [m]."""
-    # Of the differences, small numbers, single precision keeps more.
+    # Differences are small numbers, of which single precision keeps more digits.
     below = [heights[k] - x[1] for k in ti.static(range(9))]
     rise, along, across = spline_sums(x, below, corner, spacing)
     per_length = 1.0 / ti.sqrt(1.0 + along * along + across * across)
@@ -122,14 +121,14 @@ def column_height(i, k, scene, arrays: ti.template()):
 
 @ti.func
 def node_position(node, scene, arrays: ti.template()):
-    """Of a node by its index [m], shape [D]."""
+    """Position of a node from its index [m], shape [D]."""
     cell = arrays.settings[scene, Setting.CELL]
     return ti.Vector([(node[k] - PADDING) * cell for k in ti.static(range(arrays.features.dimension))])
 
 
 @ti.func
 def bed_under(node, scene, arrays: ti.template()):
-    """The bed over the lowest node of a column, of shape [D]: `BedUnder`; far below where it is not over it."""
+    """The bed over the lowest node of a column, of shape [D]: `BedUnder`; far below if the bed is not above it."""
     bed = ti.Vector([FAR_BELOW, 0.0, 0.0, 1.0, 0.0, 0.0])
     if ti.static(arrays.features.terrain):
         x = node_position(node, scene, arrays)

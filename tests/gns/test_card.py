@@ -118,7 +118,7 @@ OUTSIDE: dict[str, Callable[[], Scene]] = {
 def test_a_scene_outside_is_warned_of_in_a_line_that_names_the_quantity(name: str, model: Path) -> None:
     assert card.warning(shipped(OUTSIDE[name]()), OUTSIDE[name]()) is not None
     said = card.warning(model, OUTSIDE[name]())
-    assert said.startswith("own.safetensors is outside of its training range: ")
+    assert said.startswith("own.safetensors lies outside its training range: ")
     assert "\n" not in said
     reasons = said.split("range: ", 1)[1].split("; ")
     cause = next(reason for reason in reasons if reason.startswith(f"{name} "))

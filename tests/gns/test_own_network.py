@@ -57,7 +57,7 @@ def test_it_is_scored_calibrated_and_predicts_a_band(settings: ModelSettings, da
     prediction = gns.predict(scene, model=model, calibration=calibrated(scores))
     assert prediction.half_width == pytest.approx(calibrated(scores).front["0.95"] * prediction.extent)
     assert prediction.warning == "the training range of this network is unknown"
-    refused(gns.predict, scene, model=model, said="calibration: expected a calibration, by gns.score.calibrated")
+    refused(gns.predict, scene, model=model, said="calibration: expected a calibration, from gns.score.calibrated")
 
 
 class OfGraph(nn.Module):

@@ -85,7 +85,7 @@ def test_refusals(
     write_scene(DEEP, deep)
     cases = [
         ({**files, "model": tmp_path / "none"}, [], "expected a model, the folder of a training or one of flow2d"),
-        (files, ["--start", str(tmp_path / "other.npz")], "they are of another scene"),
+        (files, ["--start", str(tmp_path / "other.npz")], "these belong to another scene"),
         (files, ["--start", str(tmp_path / "none.npz")], "there is no such file"),
         ({**files, "scene": deep}, [], "deep.toml: expected a 2D scene"),
         (files, ["--device", "tpu"], "tpu"),

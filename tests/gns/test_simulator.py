@@ -167,7 +167,7 @@ def test_a_mass_that_cannot_stand_spreads_or_is_named() -> None:
     assert gns.simulate(scene).summary["front"] == pytest.approx(1.381, abs=0.05)
     held = gns.load("flow2d")
     held.settings = replace(held.settings, rest_speed=10.0)
-    with pytest.warns(UserWarning, match="leaves a mass at rest that its bed is too smooth or too steep to hold"):
+    with pytest.warns(UserWarning, match="predicts rest on a bed too smooth or too steep to hold the mass"):
         gns.simulate(scene, model=held)
 
 

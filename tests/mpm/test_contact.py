@@ -290,11 +290,14 @@ def test_a_rough_wall_does_not_hold_dry_sand_that_falls_beside_it(wall: str, cel
     assert centre_displacement(flow)[-1, 1] == pytest.approx(fall, rel=0.01)
 
 
-def test_what_is_rough_has_no_slip_for_clay_alone() -> None:
+def test_what_is_rough_holds_clay_alone() -> None:
     clay = Material(friction_deg=30.0, cohesion=1.0e4, tension_cutoff=1.0e4)
     scene = sand(Mass(lower=(0.0, 0.3), size=(0.2, 0.2)), size=(0.6, 0.6), material=clay, wall_friction="rough")
-    assert roughest(scene) == NO_SLIP
+    weak = dataclasses.replace(clay, cohesion=1.0, tension_cutoff=0.0)
+    assert roughest(scene) > 10.0 * DRY_GRIP
+    assert roughest(dataclasses.replace(scene, material=weak)) == pytest.approx(DRY_GRIP, rel=0.01)
     assert roughest(dataclasses.replace(scene, material=SAND)) == DRY_GRIP
+    assert roughest(dataclasses.replace(scene, gravity=0.0)) == NO_SLIP
     baffle = Baffle(lower=(0.4, 0.0), size=(0.1, 0.1), friction="rough")
     assert np.isinf(surface(dataclasses.replace(scene, baffles=(baffle,))).friction).all()
     refused(dataclasses.replace, scene, wall_friction="glued", said="'rough', got 'glued'")

@@ -200,5 +200,5 @@ def test_a_problem_may_ask_for_the_discharge_by_the_deposit_alone(tmp_path: Path
 
 def test_adjoint_and_surrogate_refuse_it_in_a_line() -> None:
     scene = entering()
-    refused(Tape, [scene], [5], said="masses: expected masses that are there from the start")
-    refused(check, scene, ModelSettings(dimension=2), said="masses: expected masses that are there from the start")
+    refused(Tape, [scene], [5], said="masses: expected masses present from the start")
+    refused(check, scene, ModelSettings(dimension=2), said="masses: expected masses present from the start")

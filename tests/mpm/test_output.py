@@ -112,7 +112,7 @@ def test_what_is_said_of_motion_walls_open_sides_and_thin_bodies() -> None:
     assert said(x=0.1) == said(energy=1e-7) == ""
     assert "not at rest: at t = 1 s" in said(energy=1.0)
     room = COLUMN.domain.size[0] - COLUMN.masses[0].lower[0] - COLUMN.masses[0].size[0]
-    assert "the side x+ of the box holds" in said(x=room)
+    assert "side x+ of the box stops" in said(x=room)
     opened = dataclasses.replace(COLUMN, open_sides=("x+",))
     assert "x+" not in said(opened, x=room)
     assert "left the box through its open side x+" in said(opened, outflow={"x+": 1.0})

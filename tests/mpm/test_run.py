@@ -269,7 +269,7 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
         assert run(command, "mpm.run", [str(scene), "--out", str(out), *flags]) == status
     assert signal.getsignal(number) is before
     said = capsys.readouterr().err.splitlines()[-1]
-    assert said == f"talus: interrupted at t = {end} s; the same command goes on from {out}/checkpoint.npz"
+    assert said == f"talus: interrupted at t = {end} s; the same command continues from {out}/checkpoint.npz"
     name = "trajectory.h5" if "--hdf5" in flags else "trajectory.npz"
     if "--hdf5" in flags:
         assert len(Trajectory.load(out / name).positions) == 2
@@ -326,6 +326,6 @@ def test_memory_holds_one_frame_of_those_in_a_file(tmp_path: Path) -> None:
         batch = Batch([OPEN], precision="f32", file=file)
         assert batch.record[0]["positions"].size == whole.positions.size / 57
         assert batch.positions.size == 1
-        refused(simulate, OPEN, record=WITH_FIELDS, file=file, said="file: expected positions alone")
-        refused(simulate_each, [OPEN, OPEN], file=file, said="file: expected one scene")
+        refused(simulate, OPEN, record=WITH_FIELDS, file=file, said="file: expected only positions")
+        refused(simulate_each, [OPEN, OPEN], file=file, said="file: expected a single scene")
     assert footprint(OPEN, in_file=True).bytes <= footprint(OPEN).bytes - whole.positions.nbytes

@@ -45,7 +45,7 @@ def test_a_layer_that_inclined_terrain_does_not_hold_is_warned_of() -> None:
     layer = Mass(kind="polygon", vertices=((8.0, 22.0), (40.0, 6.0), (37.0, 10.5), (11.0, 23.5)))
     bed = Solid(kind="terrain", points=((0.0, 26.0), (50.0, 1.0)), friction=2.0)
     scene = scene_of(layer, size=(50.0, 34.0), cell=0.5, material=soil, solids=(bed,))
-    with pytest.warns(UserWarning, match="at half of this factor, too, which is far too low: model inclined ground as"):
+    with pytest.warns(UserWarning, match="even at half of this factor, which is far too low: model inclined ground as"):
         safety_factor(scene, tolerance=0.1)
     rock = dataclasses.replace(soil, cohesion=1.0e6)
     ground = Mass(kind="polygon", vertices=((0.0, 0.0), (50.0, 0.0), (50.0, 1.0), (0.0, 26.0)), material=rock)

@@ -136,7 +136,7 @@ def test_a_stage_that_is_none_is_refused_with_its_key(stage: dict[str, Any], sai
 def test_times_ascend_and_the_adjoint_says_no() -> None:
     settled, first = Stage(time="settled", cohesion=1.0), Stage(time=0.2, cohesion=0.5)
     refused(staged, settled, first, said="stages[1].time: expected times in ascending order, then 'settled'")
-    said = "stages: expected a scene without stages, of which the adjoint has no reverse"
+    said = "stages: expected a scene without stages, which the adjoint does not cover"
     refused(gradient, staged(first), lambda x, v: (0.0, 0.0 * x, None), said=said)
 
 
@@ -247,7 +247,7 @@ def test_a_gate_holds_what_is_above_its_foot(scene: Scene) -> None:
     # It flows out beneath, less than without a gate.
     standing, out, free = (x[:, 0].max() for x in (flow.positions[opened], flow.positions[-1], gone.positions[-1]))
     assert standing + 0.02 * CELL < out < free - 0.02 * CELL
-    refused(gradient, with_masses(scene, mass), lambda x, v: (0.0, 0.0 * x, None), said="no reverse of a gate yet")
+    refused(gradient, with_masses(scene, mass), lambda x, v: (0.0, 0.0 * x, None), said="scene without a gate")
 
 
 @pytest.mark.double

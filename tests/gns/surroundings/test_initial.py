@@ -91,9 +91,9 @@ def test_a_model_of_bodies_of_one_size_gets_its_units_and_its_spacing() -> None:
     [
         ({}, ModelSettings(dimension=3), "expected a 3D scene"),
         ({"gravity": 0.0}, ModelSettings(body_length=0.28), "gravity: expected gravity"),
-        ({"solids": (Solid(lower=(0.4, 0.0), size=(0.02, 0.1)),)}, SETTINGS, "solids[0].kind: expected baffles and"),
-        ({"stages": (Stage(time=0.1, cohesion=0.5),)}, SETTINGS, "stages: expected a material that stays as it is"),
-        ({"masses": HELD}, SETTINGS, "masses: expected masses that are free from the start, the model knows no other"),
+        ({"solids": (Solid(lower=(0.4, 0.0), size=(0.02, 0.1)),)}, SETTINGS, "solids[0].kind: expected only"),
+        ({"stages": (Stage(time=0.1, cohesion=0.5),)}, SETTINGS, "stages: expected a material that does not change"),
+        ({"masses": HELD}, SETTINGS, "masses: expected masses free from the start, the model supports no other"),
         ({"masses": SCENE.masses[:1], "material": CLAY}, SETTINGS, "material.law: expected 'mohr-coulomb'"),
     ],
 )

@@ -120,7 +120,7 @@ def test_a_gradient_that_is_not_finite_ends_the_run_and_leaves_an_older_file(
     before = (tmp_path / LAST).read_bytes()
     monkeypatch.setattr("gns.training.losses.rollout_loss", lambda positions, *_: (positions * torch.nan).sum())
     assert run(dataset, tmp_path, "--updates", "3", "--resume") == 1
-    assert "the gradient of update 3 is not finite; last.pt is older and whole" in capsys.readouterr().err
+    assert "the gradient of update 3 is not finite; last.pt holds an earlier state" in capsys.readouterr().err
     assert (tmp_path / LAST).read_bytes() == before
     assert card.read(tmp_path / "best.safetensors").training.updates == 2
 
@@ -145,7 +145,7 @@ def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys
     assert run(dataset, tmp_path / "slower", *begin, "--rest-speed", "0.02") == 0
     assert checkpoint.load(tmp_path / "slower" / "best.safetensors").simulator.settings.rest_speed == 0.02
     assert run(dataset, tmp_path / "third", *begin, "--history", "2") == 2
-    assert "other is history" in capsys.readouterr().err
+    assert "these differ: history" in capsys.readouterr().err
 
 
 def test_weights_that_no_update_improves_stay(
@@ -222,7 +222,7 @@ def test_mistakes_are_named_in_one_line(
 def test_a_training_is_not_lost_to_another(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / LAST).write_bytes(b"of an earlier training")
     assert run_train(dataset, tmp_path, *TINY, "--updates", "1") == 2
-    assert f"{tmp_path}: it holds a training: --resume continues last.pt" in capsys.readouterr().err.splitlines()[-1]
+    assert f"{tmp_path}: holds a training: --resume continues last.pt" in capsys.readouterr().err.splitlines()[-1]
     assert (tmp_path / LAST).read_bytes() == b"of an earlier training"
 
 

@@ -106,7 +106,7 @@ def test_what_the_law_does_not_go_with() -> None:
     field = Field(quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 1.0), nodes=(1, 1), values=(30.0,))
     for scene, said in (
         (box(COLUMN, sandy, material=CLAY), "material.law: expected masses of one law, got mohr-coulomb and von-mises"),
-        (box(material=CLAY, volume_correction=True), "volume_correction: expected false or none beside a law without"),
+        (box(material=CLAY, volume_correction=True), "volume_correction: expected false or none with a law without"),
         (box(material=CLAY, fields=(field,)), "fields: expected no field of friction beside law = 'von-mises'"),
     ):
         refused(simulate, scene, record=LAST, said=said)

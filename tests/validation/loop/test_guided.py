@@ -137,7 +137,7 @@ WALL = Solid(lower=(0.8, 0.0), size=(0.05, 0.1), friction=0.4)
         ({"solids": (GROUND,)}, "solids[0].friction", None),
         ({}, "young", "young is no input of it"),
         ({"slope_deg": 20.0}, None, "tiny.safetensors was not trained on such a flow: slope_deg 20"),
-        ({"solids": (WALL,)}, "solids[0].friction", "expected baffles and terrain alone"),
+        ({"solids": (WALL,)}, "solids[0].friction", "expected only baffles and terrain"),
         ({"open_sides": ("x+",)}, None, "expected a closed box"),
     ],
 )
