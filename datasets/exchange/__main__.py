@@ -36,6 +36,7 @@ STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", 
 """Keys of `metadata.json` that theirs shares with ours."""
 CLOSE = 1.0e-6  # relative difference of two boxes that is rounding
 Counts = tuple[float, ...]
+FARTHEST_APART = 3.0  # distance to the nearest particle over the spacing of a lattice that a body is fitted with
 LONGEST_NAME = 200  # bytes of a key that names a file
 KEPT = ("material", "k0", "release", "gate", "initial_pore_pressure_ratio")
 """What the box of the first particles keeps of the scene's masses, where they have it in common."""
@@ -177,7 +178,7 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
 
 def lattice_spacing(places: Floats, given: float | None) -> tuple[float, Counts | None]:
     """Spacing s [m] of the lattice of particles that begin at `places` [m], shape [N, D], and, where it fills a box,
-    its rows along each axis. given: s, where the set has it.
+    its rows along each axis. given: s, where the set has it. Raises InputError where that is far too small.
 
     c rows, fitted to a box within half a row and moved at random by at most s / 2, extend over (c - 1.5) s to
     (c + 0.5) s, and sqrt(12) std(x) = c s, to less than a row. Where s is not given, it is the median distance to the
@@ -186,10 +187,10 @@ def lattice_spacing(places: Floats, given: float | None) -> tuple[float, Counts 
     """
     count, dimension = places.shape
     width = np.sqrt(12.0) * places.std(axis=0, dtype=np.float64)
-    spacings = [] if given is None else [given]
-    if given is None:
-        nearest = cKDTree(places).query(places, k=2)[0][:, 1]
-        spacings = [float(np.median(nearest)), float(width.prod() / count) ** (1.0 / dimension)]
+    nearest = float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
+    apart = given is None or count == 1 or nearest <= FARTHEST_APART * given
+    require(apart, "", f"particles about dx in metadata.json apart, {given} m", f"{nearest:g} m")
+    spacings = [nearest, float(width.prod() / count) ** (1.0 / dimension)] if given is None else [given]
     for spacing in spacings:
         if 0.0 < spacing < np.inf:
             extent = np.ptp(places, axis=0) / spacing + 1.0
@@ -275,8 +276,8 @@ def command(
         out: Folder of the result; empty.
         to: Layout to write.
         from_: Layout to read.
-        scene: With --from: the scene of all trajectories, a path or a shipped name: their box, obstacles, and the
-            friction angle where the set has no tan(phi).
+        scene: With --from: the scene of all trajectories, a path or a shipped name: their box, obstacles and material,
+            with its friction angle where the set has no tan(phi).
         up: With --from: the axis that points up, y or z.
     """
     require((to is None) != (from_ is None), "", "one of --to and --from")

@@ -236,6 +236,7 @@ BROKEN = np.where(np.arange(FRAMES)[:, None, None] == 3, np.nan, SAND[0])
         ((*SAND, 0.0), {}, "train.npz: 0.material.friction_deg: expected an angle above 0"),
         ((SAND[0][:, :1], 6), {}, "train.npz: 0: expected particles that are apart in the first frame"),
         (SAND, {"dx": 10.0}, "train.npz: 0: expected particles that are apart in the first frame and fit the box"),
+        (SAND, {"dx": 1.0e-5}, "train.npz: 0: expected particles about dx in metadata.json apart, 1e-05 m"),
         (SAND, {"dx": 0}, "metadata.json: dx: expected a length in m"),
         (SAND, {"dx": -0.01}, "metadata.json: dx: expected a length in m"),
         (SAND, {"dt": 0.0}, "metadata.json: dt: expected a time in s"),
