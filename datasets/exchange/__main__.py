@@ -1,9 +1,11 @@
 """python -m datasets.exchange DATASET --to geoelements, or --from geoelements: datasets in the layout of that code.
 
 One trajectory is in memory at a time. Their files know no scene: all trajectories of theirs get the one that the user
-gives, which says box, obstacles and material; each has the angle of its particles and the box that they begin in.
+gives, which says box, obstacles and materials; each has the angle of its particles and the box that they begin in.
 """
 
+import itertools
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,20 +20,26 @@ from tqdm import tqdm
 from datasets.command_line import run
 from datasets.definitions.definition import Entry, Split
 from datasets.definitions.training import MotionStatistics, metadata, motion_statistics
-from datasets.errors import InputError, naming, require
+from datasets.errors import InputError, keyed, naming, require
 from datasets.exchange import geoelements
 from datasets.exchange.geoelements import Sand
 from datasets.files import read_json, write_json
 from datasets.flow.measures import extents
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_files
 from datasets.scene import Mass, Scene
-from datasets.scene.grid_field import Floats
+from datasets.scene.grid_field import FRICTION, Floats
 from datasets.scene.library import read_scene
-from datasets.schema import Record, from_mapping
+from datasets.scene.material import Material
+from datasets.schema import Bounds, Record, from_mapping
 
 STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
 """Keys of `metadata.json` that theirs shares with ours."""
 CLOSE = 1.0e-6  # relative difference of two boxes that is rounding
+Counts = tuple[float, ...]
+FARTHEST_APART = 3.0  # distance to the nearest particle over the spacing of a lattice that a body is fitted with
+LONGEST_NAME = 200  # bytes of a key that names a file
+KEPT = ("material", "k0", "release", "gate", "initial_pore_pressure_ratio")
+"""What the box of the first particles keeps of the scene's masses, where they have it in common."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +47,14 @@ class ForeignMetadata(Record):
     """What Talus uses of their `metadata.json`."""
 
     bounds: tuple[tuple[float, float], ...]  # lower and upper end of the box per axis [m]
-    dt: float  # time between frames [s]
-    dx: float | None = None  # spacing of the particles [m], which Talus writes
+    dt: Annotated[float, Bounds("a time in s, 1e-9 to 1e9", ge=1.0e-9)]  # between frames
+    dx: Annotated[float | None, Bounds("a length in m, 1e-9 to 1e9", ge=1.0e-9)] = None
+    """Spacing of the particles, which Talus writes."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        ascending = len(self.bounds) in (2, 3) and all(lower < upper for lower, upper in self.bounds)
+        require(ascending, "bounds", "a lower and an upper end for each of 2 or 3 axes", list(self.bounds))
 
 
 def export(dataset: Path, out: Path) -> None:
@@ -94,77 +108,138 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
     content = read_metadata(source / "metadata.json")
     check_empty(out)
     entries: list[Entry] = []
+    boxless: list[str] = []
     statistics = MotionStatistics.from_samples(*np.empty((2, 0, scene.dimension)))
     for split in Split:
         path = source / f"{split.value}.npz"
         if not path.exists():
             continue
         # They may describe a larger box for rollouts than for training.
-        purpose = content.get("rollout" if split is Split.TEST else "train", content)
-        values = {key: purpose[key] for key in ForeignMetadata.__dataclass_fields__ if key in purpose}
+        purpose = "rollout" if split is Split.TEST and "rollout" in content else "train"
+        described = content.get(purpose, content)
         with naming(source / "metadata.json"):
+            require(isinstance(described, dict), purpose, "a JSON object")
+            values = {key: described[key] for key in ForeignMetadata.__dataclass_fields__ if key in described}
             foreign = from_mapping(ForeignMetadata, values)
         for name, sand in tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True):
-            with naming(path, name):
-                fits = Path(name).name == name and name[:1] not in ("", ".")
-                require(fits, "", "a name that a file can have", repr(name))
-                flow = trajectory_of(sand, scene, foreign, up)
+            with naming(path), keyed(name):
+                fits = Path(name).name == name and name[:1] not in ("", ".") and len(name.encode()) <= LONGEST_NAME
+                require(fits, "", f"a name that a file can have, of at most {LONGEST_NAME} bytes", repr(name))
+                flow, boxed = trajectory_of(sand, scene, foreign, up)
             flow.save(out / split.value / f"{name}.npz")
             entries.append(Entry(split=split, name=name, scene=flow.scene))
+            boxless += [f"{split.value} {name}"] * (not boxed)
             if split is entries[0].split:
                 statistics += motion_statistics(flow.positions, flow.frame_dt)
     require(len(entries) > 0, "", "trajectories in train, valid or test.npz", where=str(source))
     content = metadata("geoelements", entries, seed=None, statistics=statistics)
     write_json(out / "metadata.json", {**content, "exchange": {"from": "geoelements", "source": str(source), "up": up}})
+    if boxless:
+        which = ", ".join(boxless[:3]) + (", ..." if len(boxless) > 3 else "")
+        said = "have the masses of the scene, their particles begin in no box of one material"
+        print(f"{len(boxless)} of {len(entries)} trajectories {said}: {which}")
 
 
-def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:
-    """The trajectory of their sand, in `scene`; a particle has the volume of its share of a lattice of the set's
-    spacing, else of that in the first frame. Raises InputError where the scene's box is another one."""
+def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> tuple[Trajectory, bool]:
+    """The trajectory of their sand, in `scene`, and whether its particles begin in a box, which its scene then has; a
+    particle has the volume of its share of the lattice. Raises InputError where the scene's box is another one."""
     (positions, friction), bounds = sand, np.array(foreign.bounds)
+    count, dimension = positions.shape[1:]
+    require(dimension == len(bounds), "", f"positions in {len(bounds)}D, as bounds in metadata.json", f"{dimension}D")
+    covered, slack = np.stack([positions.min(axis=(0, 1)), positions.max(axis=(0, 1))], axis=1), scene.domain.cell
+    inside = bool(((covered[:, 0] >= bounds[:, 0] - slack) & (covered[:, 1] <= bounds[:, 1] + slack)).all())
+    expected = f"positions within bounds in metadata.json, {bounds.tolist()} m, up to a cell of the scene"
+    require(inside, "", expected, covered.astype(float).round(4).tolist())
+    require(up == "y" or dimension == 3, "", "a set in 3D for --up z")
     if up == "z":
-        require(positions.shape[2] == 3, "", "a set in 3D for --up z")
         positions, bounds = positions[..., [0, 2, 1]], bounds[[0, 2, 1]]
     size = bounds[:, 1] - bounds[:, 0]
-    same = len(size) == scene.dimension and np.allclose(size, scene.domain.size, rtol=CLOSE)
+    same = dimension == scene.dimension and np.allclose(size, scene.domain.size, rtol=CLOSE)
     require(same, "", f"a scene in the box of the set, {size.tolist()} m", f"{list(scene.domain.size)} m")
     positions = np.ascontiguousarray(positions - bounds[:, 0], dtype=np.float32)
-    spacing = foreign.dx or float(np.median(cKDTree(positions[0]).query(positions[0], k=2)[0][:, 1]))
-    require(0.0 < spacing < np.inf, "", "particles that are apart in the first frame", f"a spacing of {spacing:g} m")
-    volume = np.full(positions.shape[1], spacing**scene.dimension, np.float32)
+    spacing, rows = lattice_spacing(positions[0], foreign.dx)
+    volume = np.full(count, spacing**dimension, np.float32)
+    fits = 0.0 < volume[0] <= 2.0 * size.prod() / count
+    require(fits, "", "particles that are apart in the first frame and fit the box", f"a spacing of {spacing:g} m")
     velocity0 = ((positions[1] - positions[0]) / foreign.dt).astype(np.float32)
-    scene = own_scene(scene, positions[0], velocity0, friction, spacing)
-    friction = np.full(len(volume), scene.material.friction) if friction is None else friction
-    return Trajectory(
+    timed = replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt)
+    scene, boxed = with_body(with_tangent(timed, friction), positions[0], velocity0, spacing, rows)
+    flow = Trajectory(
         positions=positions,
         time=np.arange(len(positions), dtype=np.float64) * foreign.dt,
         velocity0=velocity0,
-        friction=friction.astype(np.float32),
+        friction=np.full(count, scene.material.friction if friction is None else friction, np.float32),
         volume=volume,
-        scene=replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt),
+        scene=scene,
         summary=extents(scene, positions[-1], volume),
     )
+    return flow, boxed
 
 
-def own_scene(scene: Scene, places: Floats, velocities: Floats, friction: Floats | None, spacing: float) -> Scene:
-    """With the angle of the particles, where they have one, and the box of their first `places` [m], where that is one:
-    ranges and units of a model follow from these."""
+def lattice_spacing(places: Floats, given: float | None) -> tuple[float, Counts | None]:
+    """Spacing s [m] of the lattice of particles that begin at `places` [m], shape [N, D], and, where it fills a box,
+    its rows along each axis. given: s, where the set has it. Raises InputError where that is far too small.
+
+    c rows, fitted to a box within half a row and moved at random by at most s / 2, extend over (c - 1.5) s to
+    (c + 0.5) s, and sqrt(12) std(x) = c s, to less than a row. Where s is not given, it is the median distance to the
+    nearest neighbour, exact for a regular lattice; if the rows of that fill no box, (prod(sqrt(12) std(x)) / N)^(1/D),
+    exact for a uniform box, is tried.
+    """
+    count, dimension = places.shape
+    width = np.sqrt(12.0) * places.std(axis=0, dtype=np.float64)
+    nearest = float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
+    apart = given is None or count == 1 or nearest <= FARTHEST_APART * given
+    require(apart, "", f"particles about dx in metadata.json apart, {given} m", f"{nearest:g} m")
+    spacings = [nearest, float(width.prod() / count) ** (1.0 / dimension)] if given is None else [given]
+    for spacing in spacings:
+        if 0.0 < spacing < np.inf:
+            extent = np.ptp(places, axis=0) / spacing + 1.0
+            choices = itertools.product(*((rows - 1.0, rows) for rows in np.round(extent).tolist()))
+            boxes = [rows for rows in choices if math.prod(rows) == count and (abs(width / spacing - rows) <= 1).all()]
+            if boxes:
+                return spacing, min(boxes, key=lambda rows: float(((rows - extent) ** 2).sum()))
+    return spacings[0], None
+
+
+def with_tangent(scene: Scene, friction: Floats | None) -> Scene:
+    """The scene with the tan(phi) of its particles, shape [N], where they share one; the scene's material is that of
+    its first mass. Raises InputError where nothing says which of several materials a particle has."""
+    sands = [scene.material_of(mass) for mass in scene.masses]
+    alike = len({*sands}) == 1 and all(field.quantity != FRICTION for field in scene.fields)
+    require(friction is not None or alike, "", "tan(phi) of the particles, or a scene of one material", "neither")
     if friction is not None and np.ptp(friction) <= CLOSE * abs(float(friction[0])):
-        angle = float(np.degrees(np.arctan(friction[0])))
-        scene = replace(scene, material=replace(scene.material, friction_deg=angle, angle="triaxial"))
-    counts = np.maximum(np.round(np.ptp(places, axis=0) / spacing + 1.0), 1.0)
-    if counts.prod() != len(places):
-        return scene
-    size = np.minimum(counts * spacing, scene.domain.size)
+        sands = [at_tangent(sand, float(friction[0])) for sand in sands]
+    others = [None if sand == sands[0] else sand for sand in sands]
+    masses = tuple(replace(mass, material=sand) for mass, sand in zip(scene.masses, others, strict=True))
+    return replace(scene, material=sands[0], masses=masses)
+
+
+def at_tangent(sand: Material, tangent: float) -> Material:
+    """The same material at another tan(phi); how its angles were measured stays, for it may have more of them."""
+    phi_deg = math.degrees(math.atan(tangent))
+    if sand.angle == "triaxial":
+        return replace(sand, friction_deg=phi_deg)
+    others: dict[str, Any] = dict.fromkeys(("friction_limit_deg", "residual_friction_deg"))
+    return replace(sand, friction_deg=replace(sand, angle="triaxial", friction_deg=phi_deg, **others).slope_deg)
+
+
+def with_body(
+    scene: Scene, places: Floats, velocities: Floats, spacing: float, rows: Counts | None
+) -> tuple[Scene, bool]:
+    """The scene with the box of the first `places` [m], shape [N, D], as its mass, and whether it has that: not where
+    there is no box (`rows`), or masses of several materials. Ranges and units of a model follow from it."""
+    kept = {tuple(getattr(mass, key) for key in KEPT) for mass in scene.masses}
+    if rows is None or len(kept) > 1:
+        return scene, False
+    size = np.minimum(np.array(rows) * spacing, scene.domain.size)
     lower = np.clip(places.mean(axis=0) - 0.5 * size, 0.0, np.array(scene.domain.size) - size)
-    body = Mass(
-        lower=tuple(lower.tolist()), size=tuple(size.tolist()), velocity=tuple(velocities.mean(axis=0).tolist())
-    )
+    velocity, same = tuple(velocities.mean(axis=0).tolist()), dict(zip(KEPT, kept.pop(), strict=True))
+    body = Mass(lower=tuple(lower.tolist()), size=tuple(size.tolist()), velocity=velocity, **same)
     try:
-        return replace(scene, masses=(body,), fields=(), stages=())
+        return replace(scene, masses=(body,), fields=()), True
     except InputError:
         # Rounding has put it into an obstacle.
-        return scene
+        return scene, False
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
@@ -201,8 +276,8 @@ def command(
         out: Folder of the result; empty.
         to: Layout to write.
         from_: Layout to read.
-        scene: With --from: the scene of all trajectories, a path or a shipped name: their box, obstacles, and the
-            friction angle where the set has no tan(phi).
+        scene: With --from: the scene of all trajectories, a path or a shipped name: their box, obstacles and material,
+            with its friction angle where the set has no tan(phi).
         up: With --from: the axis that points up, y or z.
     """
     require((to is None) != (from_ is None), "", "one of --to and --from")

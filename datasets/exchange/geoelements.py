@@ -26,9 +26,7 @@ from datasets.scene import Scene
 
 ALL = "gns_data"  # the key that holds all trajectories where it exists
 WHAT = "positions, particle types and perhaps a material property"
-WIDEST_BOX = 1.0e6
-"""Positions [m] beyond this mean a broken file; single precision would tell them no better than to 6 cm."""
-STEEPEST = 1.0e3  # a tan(phi) beyond this is none
+STEEPEST = 5.0  # a tan(phi) beyond this, 79 degrees, is none
 Sand = tuple[NDArray[np.floating], NDArray[Any] | None]
 """Positions [m], shape [T, N, D], and tan(phi), shape [N], or None where the file does not say."""
 ARRAYS = "numpy._core.multiarray"
@@ -85,8 +83,9 @@ def read(path: Path) -> Iterator[tuple[str, Sand]]:
     """The sand of the trajectories of a split by name; never executes a pickle. One is in memory at a time unless they
     are one array. Raises InputError, which names the file and the trajectory."""
     with open_npz(path, "a whole NPZ") as archive:
-        whole = read_member(archive, ALL, WHAT, ArrayUnpickler) if ALL in keys(archive) else None
+        whole = np.atleast_1d(read_member(archive, ALL, WHAT, ArrayUnpickler)) if ALL in keys(archive) else None
         names = keys(archive) if whole is None else [f"{index:05d}" for index in range(len(whole))]
+        require(len({*names}) == len(names), "", "each key once", where=str(path))
         for index, name in enumerate(names):
             parts = read_member(archive, name, WHAT, ArrayUnpickler) if whole is None else whole[index]
             with reading(path, WHAT, name):
@@ -108,7 +107,6 @@ def checked(positions: Any, types: Any, material: Any) -> Sand:
     expected = "positions of shape [T, N, 2 or 3] over two frames or more"
     fits = positions.ndim == 3 and positions.shape[2] in (2, 3) and len(positions) > 1 and positions.shape[1] > 0
     require(fits, "", expected, positions.shape)
-    require(bool((abs(positions) < WIDEST_BOX).all()), "", f"positions within {WIDEST_BOX:g} m", "others, or nan")
     count = positions.shape[1]
     types = numbers(types, "types", "iu")
     require(types.shape in ((), (count,)), "", f"one type for all particles or for each of {count}", types.shape)
@@ -119,13 +117,15 @@ def checked(positions: Any, types: Any, material: Any) -> Sand:
     if material is None:
         return positions[:, sand], None
     values = numbers(material, "material properties", "iuf")
-    require(bool((abs(values) < STEEPEST).all()), "", "a material property that is a tan(phi)", "other numbers")
     if values.ndim == 2 and values.shape[1] == 1:
         values = values[:, 0]
     moving = int(sand.sum())
     expected = f"one material property, tan(phi), for all particles or for each of {count}"
     require(values.shape in ((), (count,), (moving,)), "", expected, values.shape)
-    return positions[:, sand], np.broadcast_to(values[sand] if values.shape == sand.shape else values, moving)
+    values = np.broadcast_to(values[sand] if values.shape == sand.shape else values, moving)
+    wrong = values[~((values >= 0.0) & (values <= STEEPEST))]
+    require(len(wrong) == 0, "", f"a material property that is a tan(phi), 0 to {STEEPEST:g}", *wrong[:1].tolist())
+    return positions[:, sand], values
 
 
 class ArrayUnpickler(pickle.Unpickler):

@@ -4,6 +4,8 @@ import dataclasses
 import json
 import os
 import pickle
+import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +13,13 @@ import numpy as np
 import pytest
 import shapely
 
-from datasets import Baffle, Mass, Material, Solid, write_scene
+from datasets import Baffle, Mass, Material, Solid, read_scene, write_scene
 from datasets.command_line import run
 from datasets.exchange import geoelements
-from datasets.exchange.__main__ import command
+from datasets.exchange.__main__ import at_tangent, command, lattice_spacing
 from datasets.files import write_json
 from datasets.flow.trajectory import Trajectory
+from datasets.scene.particles import initial_particles, lattice_counts
 from tests.breaking import dataset_files
 from tests.datasets.conftest import FRAMES, toy, toy_dataset, toy_scene
 from tests.datasets.flow.test_array_files import OBJECTS, Calls, npy, with_member
@@ -32,9 +35,10 @@ def exchange(*arguments: object) -> int:
 
 
 def scene_file(folder: Path, dimension: int) -> Path:
-    """The scene of the toys without baffles, of other sand."""
+    """The scene of the toys without baffles, of other sand and another body."""
     toys, path = toy_scene(dimension, 0), folder / f"scene-{dimension}.toml"
-    write_scene(dataclasses.replace(toys, baffles=(), material=Material(friction_deg=25.0), duration=1.0), path)
+    body, sand = Mass(lower=(0.0,) * dimension, size=(0.06,) * dimension), Material(friction_deg=25.0)
+    write_scene(dataclasses.replace(toys, baffles=(), masses=(body,), material=sand, duration=1.0), path)
     return path
 
 
@@ -128,6 +132,8 @@ def test_a_set_that_geoelements_generated(
         np.testing.assert_allclose(flow.positions, toy(2).positions, atol=1.0e-6)
         np.testing.assert_allclose(flow.velocity0[:, 0], 1.0, atol=0.05)
         np.testing.assert_allclose(flow.friction, tangent, rtol=1e-6)
+        np.testing.assert_allclose(flow.volumes, toy(2).volumes, rtol=0.02)  # though nothing says their spacing
+        np.testing.assert_allclose(flow.scene.masses[0].size, toy_scene(2, 0).masses[0].size, rtol=0.01)
     line = refused_by(capsys, command, source, *FROM, "--scene", "column-tall-42", "--out", tmp_path / "b")
     assert "expected a scene in the box of the set" in line
 
@@ -153,6 +159,113 @@ def test_volumes_follow_the_spacing_of_each_trajectory(tmp_path: Path, capsys: p
         write({name: spacing})
         wrong = (source, *FROM, "--scene", scene_file(tmp_path, 2), "--out", tmp_path / "other")
         assert said in refused_by(capsys, command, *wrong)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.5, 0.8])
+@pytest.mark.parametrize("size", [(0.187, 0.124), (0.4, 0.05), (0.113, 0.08, 0.126)])
+def test_the_lattice_of_a_box(size: tuple[float, ...], jitter: float) -> None:
+    body, dimension = Mass(lower=(0.1,) * len(size), size=size), len(size)
+    scene = scene_of(body, size=(1.0,) * dimension, jitter=jitter)
+    places = initial_particles(scene).positions
+    rows, own = lattice_counts(scene, body), (np.prod(size) / len(places)) ** (1.0 / dimension)
+    for given, spacing, rtol in ((0.01, 0.01, 1.0e-12), (None, own, 0.04)):
+        np.testing.assert_allclose(lattice_spacing(places, given)[0], spacing, rtol=rtol)
+        assert lattice_spacing(places, given)[1] == tuple(rows)
+    inside = (((places - 0.1) / size - 0.5) ** 2).sum(axis=1) < 0.25
+    assert lattice_spacing(places[inside], 0.01) == (0.01, None)
+    assert lattice_spacing(places[inside], None)[1] is None
+
+
+def trajectories(folder: Path, *flows: tuple[Any, ...], **described: Any) -> Path:
+    """A set with these trajectories to train on, and other keys of `metadata.json`."""
+    source, named = foreign(folder), {}
+    for index, parts in enumerate(flows):
+        named[f"{index}"] = np.empty(len(parts), dtype=object)
+        named[f"{index}"][:] = parts
+    if flows:
+        np.savez(source / "train.npz", **named)
+    content = json.loads((source / "metadata.json").read_text())["train"]
+    write_json(source / "metadata.json", content | described)
+    return source
+
+
+def test_the_scene_keeps_its_materials(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sand, positions = Material(friction_deg=40.0, cohesion=3000.0, density=2000.0), toy(2).positions + 0.1
+    cone = positions[:, positions[0, :, 0] - 0.15 < positions[0, :, 1] - 0.1]
+    source = trajectories(tmp_path / "theirs", (positions, 6, 0.7), (positions, 6), (cone, 6, 0.7))
+    path, body = scene_file(tmp_path, 2), Mass(lower=(0.0, 0.0), size=(0.06, 0.06), material=sand, k0=0.5)
+    scene = dataclasses.replace(read_scene(path), masses=(body,))
+    write_scene(scene, path)
+    assert exchange(source, *FROM, "--scene", path, "--out", tmp_path / "one") == 0
+    said = capsys.readouterr().out.splitlines()
+    assert [line for line in said if "trajectories" in line] == [
+        "1 of 3 trajectories have the masses of the scene, their particles begin in no box of one material: train 2"
+    ]
+    for index, tangent in enumerate((0.7, np.tan(np.radians(40.0)), 0.7)):
+        flow = Trajectory.load(tmp_path / "one" / "train" / f"{index}.npz")
+        (mass,), material = flow.scene.masses, flow.scene.material_of(flow.scene.masses[0])
+        assert (mass.size == (0.06, 0.06), mass.k0) == (index == 2, 0.5)
+        assert (material.cohesion, material.density) == (3000.0, 2000.0)
+        np.testing.assert_allclose([material.friction, flow.friction.min()], tangent, rtol=1e-6)
+    write_scene(dataclasses.replace(scene, masses=(body, Mass(lower=(0.3, 0.0), size=(0.1, 0.1)))), path)
+    line = refused_by(capsys, command, source, *FROM, "--scene", path, "--out", tmp_path / "several")
+    assert line.startswith(f"talus: {source / 'train.npz'}: 1: expected tan(phi) of the particles, or a scene of one")
+
+
+def test_an_angle_stays_of_its_kind() -> None:
+    slope = Material(friction_deg=20.0, angle="slope", friction_limit_deg=40.0, grain_diameter=1.0e-3)
+    for sand in (slope, Material(friction_deg=20.0, dilation_deg=5.0)):
+        other = at_tangent(sand, 0.6)
+        assert other.friction == pytest.approx(0.6)
+        assert dataclasses.replace(other, friction_deg=20.0) == sand
+
+
+SAND = (toy(2).positions + 0.1, 6)
+BROKEN = np.where(np.arange(FRAMES)[:, None, None] == 3, np.nan, SAND[0])
+
+
+@pytest.mark.parametrize(
+    ("parts", "described", "said"),
+    [
+        ((1000.0 * SAND[0], 6), {}, "train.npz: 0: expected positions within bounds"),
+        ((SAND[0] - 0.3, 6), {}, "train.npz: 0: expected positions within bounds"),
+        ((BROKEN, 6), {}, "train.npz: 0: expected positions within bounds"),
+        ((np.pad(SAND[0], ((0, 0), (0, 0), (0, 1))), 6), {}, "train.npz: 0: expected positions in 2D, as bounds"),
+        ((*SAND, 35.0), {}, "train.npz: 0: expected a material property that is a tan(phi), 0 to 5, got 35.0"),
+        ((*SAND, np.linspace(-0.1, 0.6, 320)), {}, "is a tan(phi), 0 to 5, got -0.1"),
+        ((*SAND, 0.0), {}, "train.npz: 0.material.friction_deg: expected an angle above 0"),
+        ((SAND[0][:, :1], 6), {}, "train.npz: 0: expected particles that are apart in the first frame"),
+        (SAND, {"dx": 10.0}, "train.npz: 0: expected particles that are apart in the first frame and fit the box"),
+        (SAND, {"dx": 1.0e-5}, "train.npz: 0: expected particles about dx in metadata.json apart, 1e-05 m"),
+        (SAND, {"dx": 0}, "metadata.json: dx: expected a length in m"),
+        (SAND, {"dx": -0.01}, "metadata.json: dx: expected a length in m"),
+        (SAND, {"dt": 0.0}, "metadata.json: dt: expected a time in s"),
+        (SAND, {"dt": -1.0}, "metadata.json: dt: expected a time in s"),
+        (SAND, {"bounds": [[0.6, 0.1], [0.1, 0.35]]}, "metadata.json: bounds: expected a lower and an upper end"),
+        (SAND, {"bounds": []}, "metadata.json: bounds: expected a lower and an upper end"),
+        (SAND, {"train": 5}, "metadata.json: train: expected a JSON object"),
+    ],
+)
+def test_what_is_not_imported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], parts: tuple[Any, ...], described: dict[str, Any], said: str
+) -> None:
+    source = trajectories(tmp_path / "theirs", parts, **described)
+    line = refused_by(capsys, command, source, *FROM, "--scene", scene_file(tmp_path, 2), "--out", tmp_path / "back")
+    assert said in line
+
+
+def test_keys_that_name_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = trajectories(tmp_path / "theirs", SAND)
+    with zipfile.ZipFile(source / "train.npz") as archive:
+        content = archive.read("0.npy")
+    for names, said in ((["k" * 300], "of at most 200 bytes"), (["a", "a"], "expected each key once")):
+        with warnings.catch_warnings(action="ignore"), zipfile.ZipFile(source / "train.npz", "w") as archive:
+            for name in names:
+                archive.writestr(f"{name}.npy", content)
+        wrong = (source, *FROM, "--scene", scene_file(tmp_path, 2), "--out", tmp_path / "back")
+        assert said in refused_by(capsys, command, *wrong)
+    np.savez(source / "train.npz", gns_data=np.array({}, dtype=object))
+    refused(lambda: list(geoelements.read(source / "train.npz")), said="positions, particle types")
 
 
 def test_every_solid_becomes_particles_that_stand() -> None:
@@ -236,7 +349,6 @@ def test_pickles_of_the_older_numpy(tmp_path: Path) -> None:
     ("content", "count", "expected"),
     [
         (objects(POSITIONS), 1, "positions, particle types"),
-        (objects(np.where(POSITIONS > 0.5, np.nan, POSITIONS), TYPES), 2, "positions within"),
         (objects(POSITIONS, 3), 2, "sand that moves"),
         (objects(POSITIONS, TYPES, np.array(["a"] * 5)), 3, "material properties as numbers"),
         (b"", 1, "positions, particle types"),
