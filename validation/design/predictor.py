@@ -1,4 +1,4 @@
-"""What predicts flows of a design in thousands: the learned surrogate, or the MPM on larger cells."""
+"""Predictors of thousands of flows for a design problem: the learned surrogate, or the MPM on larger cells."""
 
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -25,8 +25,8 @@ from mpm import ALL, LAST, simulate_many
 from validation.design.problem import DesignProblem, Limit
 from validation.design.race import Predict
 
-TOGETHER = 64  # flows of a batch on a GPU, and scenes that are made at a time
-COARSER = 2.0  # cells of the MPM that predicts over the scene's
+TOGETHER = 64  # flows in a batch on a GPU; scenes built at a time
+COARSER = 2.0  # cell size of the predicting MPM over the scene's
 
 
 def predictor(problem: DesignProblem, simulate: Simulate = simulate_many) -> Predict:

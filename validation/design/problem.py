@@ -245,8 +245,8 @@ class DesignProblem(_Keys):
     def draws(self, count: int, rng: np.random.Generator) -> Matrix:
         """Stratified draws of the uncertain numbers, in fractions of the ranges, shape [count, Q].
 
-        Each number, of a posterior only the first, has one draw in each of `count` equally likely strata (McKay, Beckman
-        & Conover, A comparison of three methods for selecting values of input variables, Technometrics 21 (1979) 239-245).
+        Each number, of a posterior only the first, has one draw in each of `count` equally likely strata (McKay et al.,
+        A comparison of three methods for selecting values of input variables, Technometrics 21 (1979) 239-245).
         """
         alone, offset = len(self.uncertain) - self.joint, len(self.variables)
         levels = qmc.LatinHypercube(alone + (self.joint > 0) + bool(self.fields), rng=rng).random(count)

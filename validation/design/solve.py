@@ -133,7 +133,7 @@ def summary(outcome: Design | RacedDesign) -> list[str]:
     lines = [
         f"{problem.name}: {outcome.verdict}",
         f"design: {design}{cost}",
-        f"{limit.quantity} below {limit.below:.10g} {problem.unit}: required of {100.0 * limit.probability:g} % of flows",
+        f"{limit.quantity} below {limit.below:.10g} {problem.unit}: limit for {100.0 * limit.probability:g} % of flows",
         before,
         f"kept in {checks - outcome.exceeding} of {checks} new MPM flows, so in {100.0 * low:.1f} to "
         f"{100.0 * high:.1f} % of flows (95 %): {outcome.exceeding} exceed it where {problem.allowed} may, the largest "
