@@ -87,8 +87,8 @@ class PlanMaps:
 
 
 def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = None, progress: bool = False) -> PlanMaps:
-    """The maps of `trajectory` over square cells of edge `cell` [m]; the last may extend beyond the box. threshold: [m],
-    above which a cell counts as covered; default: the particle spacing, at most half the least thickness released.
+    """The maps of `trajectory` over square cells of edge `cell` [m]; the last may extend beyond the box. threshold:
+    [m], above which a cell counts as covered; default: the particle spacing, at most half the least thickness released.
     Raises InputError for a threshold that is not positive, for a flow in 2D, and for cells smaller than the particle
     spacing or longer than a side of the box."""
     scene, fields, volumes = trajectory.scene, FlowFields(trajectory), trajectory.volumes

@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # GDAL and SciPy take half a second to import: --help needs n
     from datasets.exchange.vectors import Feature
 
 REACH = 0.75
-"""Slope of the energy line that bounds the box, over the friction coefficient: fronts run farther than a sliding block."""
+"""Slope of the energy line that bounds the box, over the friction coefficient: fronts outrun a sliding block."""
 HOLELESS = ".dem.tif"  # ending of the raster with its holes filled, beside the scene
 THICKNESS = ("thickness", "d0")  # attributes of a polygon that may give its thickness [m]
 PARTICLES, COLUMNS = 3.0e5, 1.0e7
@@ -144,8 +144,8 @@ def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
 def layer(
     raster: "Raster", polygon: shapely.Polygon, thickness: "float | Raster", vertical: bool
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
-    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster whose cells it intersects. thickness: [m],
-    a number, or a raster, whose cells the mass then takes over."""
+    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster whose cells it intersects. thickness:
+    [m], a number, or a raster, whose cells the mass then takes over."""
     box = polygon.bounds
     for axis, spacing, low, high in zip((raster.x, raster.z), raster.spacing, box[:2], box[2:], strict=True):
         within = axis[0] - 0.5 * spacing <= low and high <= axis[-1] + 0.5 * spacing
@@ -232,7 +232,7 @@ def round_up(length: float) -> float:
 
 
 def least_of(given: float | Path, flag: str, expected: str, *, zero: bool) -> float:
-    """A coefficient, or the smallest value of its raster. Raises InputError below 0, and at 0 unless `zero` allows it."""
+    """A coefficient, or the smallest value of its raster. Raises InputError below 0, and at 0 unless `zero` is set."""
     from datasets.exchange.rasters import read_raster
 
     if not isinstance(given, Path):

@@ -31,7 +31,7 @@ FASTEST, DAY, YEAR = 10.0, 86400.0, 365.25 * 86400.0
 """Coefficient of consolidation [m^2/s] above that of any soil; seconds of a day and of a year."""
 WEAKEST = 5.0e-4  # cohesion over the pressure rho g h under a body below which it looks like one in kPa
 SOFTEST = 10.0
-"""Young's modulus over the pressure rho g h under a body, below which the body settles by 1/20 of its height or more."""
+"""Young's modulus over the pressure rho g h under a body, below which the body settles by 5 % of its height or more."""
 
 
 def checked(scene: SceneLayout) -> SceneLayout:
@@ -324,7 +324,7 @@ def unlikely_water(scene: SceneLayout) -> list[str]:
 
 
 def warn_if_unlikely(scene: SceneLayout) -> None:
-    """Give a UserWarning for each number in a probably wrong unit (radians, MPa, mm), and for layers that the box cuts."""
+    """Warn (UserWarning) of numbers in a probably wrong unit (radians, MPa, mm), and of layers that the box cuts."""
     from datasets.geometry.bodies import Plan, height
     from datasets.geometry.ground import TOUCHING, lowest_ground
 
