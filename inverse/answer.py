@@ -116,7 +116,7 @@ class Combination:
 
     @property
     def identifiable(self) -> bool:
-        """Whether the observation constrains it: its half-width is at most `IDENTIFIABLE`, less for a narrower prior."""
+        """Whether the observation constrains it: half-width of at most `IDENTIFIABLE`, less for a narrower prior."""
         return self.half_width <= IDENTIFIABLE * min(1.0, self.prior / UNIFORM)
 
 

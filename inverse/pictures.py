@@ -116,7 +116,7 @@ def standings(result: Result) -> dict[str, Scene]:
 
 
 def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene], filled: str, top: float) -> None:
-    """Draw a deposit [m], shape [N, D], up to `top` [m], and the baffles of `scenes`, those of scene `filled` filled."""
+    """Draw a deposit [m], shape [N, D], up to `top` [m], and the baffles of `scenes`; those of `filled` are filled."""
     size = scenes["found"].domain.size
     across = len(size) - 1
     if across == 1:

@@ -176,7 +176,7 @@ class Problem(ProblemKeys):
         return scene if seed is None else replace(scene, seed=seed)
 
     def clocked(self, run: Trajectory, values: Vector) -> Trajectory:
-        """A run with numbers `values` [U] in the time of the observations, which starts `time_offset` after the flow."""
+        """A run with numbers `values` [U] in the observations' time, which starts `time_offset` after the flow."""
         late = sum(float(values[n]) for n, kind in enumerate(self.kinds) if isinstance(kind, Clock))
         return replace(run, time=run.time - late) if late else run
 
@@ -186,7 +186,7 @@ class Problem(ProblemKeys):
 
     @cached_property
     def measured(self) -> list[Target]:
-        """Targets from the observations' own numbers, each table read once. Raises InputError, which names the source."""
+        """Targets from the observations' own numbers, each table read once. Raises InputError with key or table."""
         targets = []
         for index, settings in enumerate(self.observations):
             with keyed(f"observations[{index}]"):

@@ -1,4 +1,4 @@
-"""What stands in a problem's file: its sections as they are read from TOML, strictly."""
+"""The sections of a problem's file, read strictly from TOML."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -8,7 +8,7 @@ from datasets.errors import InputError, require
 from datasets.scene import Scene
 from datasets.schema import Bounds, Record
 
-MOST = 1_000_000  # of runs, draws and iterations: more would take years, and memory that no machine has
+MOST = 1_000_000  # largest number of runs, draws or iterations: more would take years, and too much memory
 
 
 def counted(least: int, most: int = MOST) -> Bounds:

@@ -224,7 +224,7 @@ class Material(Record):
 
     @property
     def inertial_rate(self) -> float:
-        """Shear rate over the root of the pressure at I = I_0 [1/(s sqrt(Pa))]: I_0 / (d sqrt(rho_s)); 0 if undefined."""
+        """Shear rate over the root of the pressure at I = I_0 [1/(s sqrt(Pa))]: I_0 / (d sqrt(rho_s)); else 0."""
         if self.friction_limit_deg is None or self.grain_diameter is None:
             return 0.0
         return self.inertial_number / (self.grain_diameter * math.sqrt(self.grain_density))

@@ -356,7 +356,7 @@ class SceneLayout(Record):
 
     @property
     def relaxation(self) -> float:
-        """The relaxation time [s]: as given, or proportional to the time of fall through a cell; inf without gravity."""
+        """The relaxation time [s]: as given, or proportional to the fall time through a cell; inf without gravity."""
         if self.relaxation_time is not None:
             return self.relaxation_time
         return RELAXATION * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
