@@ -117,7 +117,7 @@ class ToeSettings(ObservationSettings):
 
 
 class Passed(Observation):
-    """Share of the volume beyond x = `line` [m]; the smooth weight of a particle is 1 / (1 + exp((line - x) / width))."""
+    """Share of the volume beyond x = `line` [m]; smooth weight of a particle: 1 / (1 + exp((line - x) / width))."""
 
     kind = "passed"
     label = "the share of the material that came to rest beyond the line"
@@ -158,7 +158,7 @@ class PassedSettings(ObservationSettings):
 
 
 class FinalPositions(SmoothObservation):
-    """The final position of every followed particle, N D numbers; the misfit is mean |p - p_target|^2, as in the paper."""
+    """The final position of every followed particle, N D numbers; misfit as in the paper: mean |p - p_target|^2."""
 
     kind = "deposit"
     label = "the final position of every particle of the deposit"

@@ -172,7 +172,7 @@ class Observation:
 
 
 class SmoothObservation(Observation):
-    """An observation whose smooth form is also the exact one: a run is observed like a rollout, with its own volumes."""
+    """An observation whose smooth form is also exact: a run is observed like a rollout, with its own volumes."""
 
     def observe(self, trajectory: Trajectory) -> Values:
         impulse, water = trajectory.solid_impulse, trajectory.pore_pressure
@@ -232,7 +232,7 @@ def recording(observations: Sequence[Observation]) -> Recording:
 def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: Values) -> Any:
     """`operator` of a series [T, ...], arrays or tensors, at each of `times` [s], shape [times, ...].
 
-    Between two frames the series is linear in time, although heights at a gauge are not.
+    Between two frames it interpolates the series, not the result: heights at a gauge are not linear in time.
     """
     different, which = np.unique(times, return_inverse=True)
     before, share = brackets(time, different)
