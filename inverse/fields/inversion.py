@@ -60,16 +60,16 @@ LED_RUNS, LED_CHECKS = 8, 3
 
 @dataclass(frozen=True)
 class Found:
-    """What a search for fields ends with."""
+    """The result of a search for fields."""
 
     posterior: Gaussian
     runs: Floats
-    """What runs near the answer show that differ in their jitter seed, shape [n, M]."""
+    """Results of runs near the answer that differ in their jitter seed, shape [n, M]."""
     draws: Floats | None
-    """What runs show at draws of the prior, shape [n, M], where derivatives are asked for of combinations."""
+    """Results of runs at draws from the prior, shape [n, M], if derivatives are of combinations."""
     iterates: Sequence[dict[str, float]]
     checks: int
-    """Runs of the MPM that check the answer."""
+    """Number of MPM runs that check the answer."""
     surrogate: dict[str, Any]
 
 
@@ -105,7 +105,7 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
         said, objective = outcome.surrogate, outcome.surrogate["objective"]
         word = "" if "confirmed" not in said else " The MPM did not confirm it and searched by itself."
         notes.append(
-            f"The surrogate found its answer with {said['predictions']} predictions in {said['seconds']:.0f} s. With its "
+            f"The surrogate found its answer by {said['predictions']} predictions in {said['seconds']:.0f} s. With its "
             f"derivatives ({said['more_predictions']} more predictions, {said['reverse_passes']} reverse passes) "
             f"runs of the MPM went on: the objective changed from {objective[0]:.4g} to "
             f"{min(objective):.4g}.{word}"
@@ -193,11 +193,11 @@ def scatter_of(runs: Floats, target: Target) -> Scatter:
 
 
 def alone(flow: WhiteFlow, target: Target, start: Floats) -> Found:
-    """By the MPM's own derivatives from white numbers `start` [W]. Raises InputError for a scene without an adjoint."""
+    """Search with the MPM's derivatives from white numbers `start` [W]. Raises InputError for a scene without adjoint."""
     if flow.problem.optimiser.derivatives is Derivatives.ADJOINT:
         check(features_of([flow.problem.scene], "f32"))
     first = first_search(flow, target, errors := target.errors.matrix, start)
-    # Again with the scatter of the fields that were found, and all seeds.
+    # Repeat with the scatter at the found fields, and all seeds.
     objective = objective_of(flow, target, errors, first.runs, flow.problem.seeds, first.draws)
     posterior = objective.minimise(first.posterior.mean, flow.problem.optimiser.max_iterations)
     return replace(first, posterior=posterior, iterates=[*first.iterates, *objective.iterates])

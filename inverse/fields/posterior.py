@@ -1,4 +1,4 @@
-"""The posterior of an unknown field at its nodes: most probable values, widths, samples, and what is identified."""
+"""The posterior of an unknown field at its nodes: most probable values, widths, samples, identified nodes."""
 
 import re
 from dataclasses import dataclass
@@ -12,16 +12,16 @@ from datasets.flow import measures
 from inverse.observations import Values
 from inverse.parameters.field import BAND, UnknownField
 
-IDENTIFIED = 0.5  # share of the prior's variance beyond whose removal the observation identifies a value of a field
+IDENTIFIED = 0.5  # a value of a field is identified if the observation removes more than this share of prior variance
 
 
 @dataclass(frozen=True, kw_only=True)
 class FieldPosterior:
-    """A field at its K nodes, in its unit; statistics are over the nodes beside the body alone."""
+    """A field at its K nodes, in its unit; statistics cover only the nodes of the body."""
 
     unknown: UnknownField
-    latent: Values  # u of `inverse.parameters.field`, the most probable one, shape [K]
-    width: Values  # standard deviation of u that is left, shape [K]
+    latent: Values  # the most probable u of `inverse.parameters.field`, shape [K]
+    width: Values  # posterior standard deviation of u, shape [K]
     draws: Values  # samples of the field, shape [draws, K]
     truth: Values | None  # true field if known, shape [K]
 

@@ -48,10 +48,10 @@ class JointPart:
     """One of the observations that are compared together."""
 
     name: str
-    """As reports call it."""
+    """Name in reports."""
     observation: "Observation"
     numbers: slice
-    """Which of all numbers are its own."""
+    """Its part of all numbers."""
 
 
 class Observation:

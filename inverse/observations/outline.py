@@ -65,7 +65,7 @@ class Extents(SmoothObservation):
 
 
 class Boundary(SmoothObservation):
-    """Signed distances from points of the observed boundary to the model's [m], positive where the model covers more."""
+    """Signed distances from points of the observed boundary to the model's [m], positive if the model covers more."""
 
     kind = "outline"
     label = "the outline of the deposit in plan"
@@ -127,7 +127,7 @@ class Boundary(SmoothObservation):
 
 @dataclass(frozen=True, kw_only=True)
 class OutlineSettings(LengthsSettings):
-    """Settings of `Boundary`, or of `Extents` if values or directions are given. The table has ordered vertices x, z."""
+    """Settings of `Boundary`, or of `Extents` with values or directions. The table has ordered vertices x, z."""
 
     file: str | None = None  # polygons (GeoJSON, shapefile, GeoPackage, KML), in the map coordinates of the scene
     values: tuple[float, ...] | None = None  # extent [m] in each of `directions_deg`

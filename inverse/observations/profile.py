@@ -4,8 +4,8 @@
 
 P interpolates the model's profile at its stations to the rows, so that both profiles are linear between rows. A row is
 the height at one x, the model's a mean over its spacing: a representation error (Janjic et al., On the representation
-error in data assimilation, Quart. J. Roy. Meteorol. Soc. 144 (2018) 1257-1278) of `REPRESENTATION` cells is added to the
-noise of each height.
+error in data assimilation, Quart. J. Roy. Meteorol. Soc. 144 (2018) 1257-1278) of `REPRESENTATION` cells is added to
+the noise of each height.
 """
 
 import math
@@ -174,10 +174,10 @@ class ProfileSettings(LengthsSettings):
         return self.sampled(operator, operator.of_heights(profile.at(operator.stations)), profile)
 
     def of_run(self, scene: Scene, run: Trajectory) -> Target:
-        """See `ObservationSettings.of_run`; the noise is that of the heights."""
+        """See `ObservationSettings.of_run`; the noise applies to the heights."""
         operator = self.operator(scene)
         values = operator.observe(run)
-        # One without any noise is compared as it is.
+        # A profile without noise is compared as it is.
         if self.noise == 0.0 and self.heights is Heights.EQUIVALENT:
             return self.compared(operator, values)
         positions = run.positions[-1]
@@ -203,10 +203,10 @@ class ProfileSettings(LengthsSettings):
 
 
 def to_the_wall(rows: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
-    """`rows` [m] from the end at x = `low` to the one at `high` [m]; where they stop earlier, they go on as before."""
+    """`rows` [m], continued with their own spacing to the ends at x = `low` and `high` [m]."""
     rows = np.clip(rows, low, high)
     before = np.arange(rows[0] - (rows[1] - rows[0]), low, rows[0] - rows[1])[::-1]
     beyond = np.arange(rows[-1] + (rows[-1] - rows[-2]), high, rows[-1] - rows[-2])
     every = np.concatenate([[low], before, rows, beyond, [high]])
-    # A last step that ends a rounding error before the wall is none.
+    # A last step of the size of a rounding error is dropped.
     return np.asarray(every[np.concatenate([[True], np.diff(every) > 1e-6 * (high - low)])])

@@ -1,4 +1,4 @@
-"""What a problem's file says of an observation; each kind adds the keys of its operator."""
+"""The keys of an observation in a problem's file; each kind adds the keys of its operator."""
 
 import warnings
 from collections.abc import Sequence
@@ -28,12 +28,12 @@ class ObservationSettings(Record):
 
     name: str | None = None  # name in reports; default: its kind
     noise: StatedNoise = 0.0
-    """Standard deviation of each number, of a profile of each height: in their unit, or a percentage such as "3%"."""
+    """Standard deviation of each number, for a profile of each height: in their unit, or a percentage such as "3%"."""
 
-    robust: ClassVar[bool] = True  # whether its numbers have errors of their own, so that one may be an outlier
+    robust: ClassVar[bool] = True  # whether errors of its numbers are independent, so that one may be an outlier
     operator_type: ClassVar[type[Observation]]
     places: ClassVar[dict[str, int | None]] = {}
-    """Keys that say where something is, and along which axis of the scene; None: a whole vector."""
+    """Keys that hold coordinates -> their axis of the scene; None: a whole vector."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,4 +1,4 @@
-"""What an inversion is given: an operator, what was measured with it, and the errors of these numbers."""
+"""The target of an inversion: an operator, the numbers measured with it, and their errors."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from inverse.observations.errors import Covariance
 from inverse.observations.measured_profile import MeasuredProfile
 from inverse.observations.observation import Joint, JointPart, Observation, Values
 
-ALL_DATA = "none"  # what is left out where nothing is
+ALL_DATA = "none"  # name of the left-out observation if all are used
 
 
 @dataclass(frozen=True, kw_only=True)

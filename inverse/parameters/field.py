@@ -62,7 +62,7 @@ BOUNDED |= {BED: "coefficient, of at least 0"}
 """Quantities that are impossible beyond some values."""
 MOST_ZONES = 1000
 DIGITS, UNEVEN = 9, 1.0e-7
-"""Decimals of a coefficient at the posts of a terrain; how much more one post has where all would have the same."""
+"""Decimals of a coefficient at the posts of a terrain; increment of one post if all would have the same value."""
 
 
 class UnknownField:
@@ -258,9 +258,9 @@ class UnknownField:
         return np.asarray(nodes)
 
     def at_posts(self, scene: Scene) -> Floats:
-        """Shares of the values in the friction at each post of the ground, beyond the box too, shape [X, Z, K]."""
+        """Shares of the values in the friction at each post of the ground, also beyond the box, shape [X, Z, K]."""
         solid, weights = scene.solids[self.settings.solid or 0], self.weights(self.posts(scene)).toarray()
-        # Where the ground has a post from: numbers of posts in place of their friction.
+        # The index of each post, passed instead of its friction, shows where the ground takes it from.
         numbers = np.arange(len(weights)).reshape(np.array(solid.heights).shape)
         numbered = replace(solid, friction=tuple(map(tuple, numbers.astype(float).tolist())))
         return np.asarray(weights[ground_grid(numbered, "solids", scene.domain)[2].astype(int)])

@@ -5,7 +5,7 @@ are correlated by their normal scores z = Phi^-1(F*(x)), a Gaussian copula,
 
     p(x) = phi(z; R) prod_i f*_i(x_i) / phi(z_i)
 
-with R of the stated coefficients: correlations of z; those of x are slightly smaller (Liu & Der Kiureghian, Multivariate
+with R of the stated coefficients: correlations of z; those of x are slightly lower (Liu & Der Kiureghian, Multivariate
 distribution models with prescribed marginals and covariances, Probab. Eng. Mech. 1 (1986) 105-112; after Nataf).
 """
 
