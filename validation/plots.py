@@ -20,7 +20,7 @@ DPI = 140
 def figure(
     path: Path, *, rows: int = 1, columns: int = 1, size: tuple[float, float] = (5.0, 3.6)
 ) -> Iterator[NDArray[Any]]:
-    """Axes of shape [rows, columns] to draw on; at the end the picture is written to a temporary file and moved to `path`.
+    """Axes of shape [rows, columns] to draw on; at the end the picture is written beside `path` and moved there.
 
     size: of one pane [inch].
     """

@@ -21,7 +21,7 @@ from datasets.geometry.surface import body_of, solids_of
 
 Floats = NDArray[np.floating]
 
-DIAMETER = 1.25  # of a drawn particle over the distance between particles at the start
+DIAMETER = 1.25  # diameter of a drawn particle over the initial particle spacing
 INK, STEEL, GROUND, FAINT = "#262626", "#8d9aa8", "#b5aa98", "#77736a"
 """Colours of the letters, of the baffles, of other solids and of the masses' outlines."""
 EYE = {2: (0.0, 0.0, 1.0), 3: (0.45, 0.55, 1.0)}
@@ -41,7 +41,7 @@ def require_recorded(trajectory: Trajectory, colour: Colour) -> None:
 
 
 def write_picture(path: Path, trajectory: Trajectory, colour: Colour, frame: int) -> None:
-    """Draw `frame` into a PNG, coloured by a field that `require_recorded` accepts. Raises WorkFailed without OpenGL."""
+    """Draw `frame` into a PNG, coloured by a field that `require_recorded` admits. Raises WorkFailed without OpenGL."""
     plotter = drawn(trajectory, colour, frame)
     try:
         with replacing(path) as part:

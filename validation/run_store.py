@@ -37,22 +37,22 @@ WATER = "pore_pressure"  # a key of recordings that was added later
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A run that is asked for."""
+    """A requested run."""
 
     scene: Scene
     precision: Precision = "f32"
-    record: Recording = LAST  # what is recorded: the last frame, a hundredth of the file, unless more is asked for
+    record: Recording = LAST  # what is recorded: by default the last frame, a hundredth of the whole file
 
     @property
     def digest(self) -> str:
-        """Of all that decides the result. What a scene leaves at its default is left out: new keys change nothing."""
+        """Digest of all inputs. Keys at their default are left out, so that new keys do not change it."""
         scene = [
             (field.name, getattr(self.scene, field.name))
             for field in dataclasses.fields(self.scene)
             if getattr(self.scene, field.name) != field.default
         ]
         record = [(field.name, getattr(self.record, field.name)) for field in dataclasses.fields(self.record)]
-        # Runs without fields keep the names under which they are on disk.
+        # Runs without fields keep their existing names on disk.
         record = [(key, value or [] if key == "fields" else value) for key, value in record if key != WATER or value]
         text = repr((__version__, sorted(scene), record, self.precision))
         return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -193,7 +193,7 @@ def scatter_of(runs: Floats, target: Target) -> Scatter:
 
 
 def alone(flow: WhiteFlow, target: Target, start: Floats) -> Found:
-    """Search with the MPM's derivatives from white numbers `start` [W]. Raises InputError for a scene without adjoint."""
+    """Search with the MPM's derivatives from white numbers `start` [W]. Raises InputError without an adjoint."""
     if flow.problem.optimiser.derivatives is Derivatives.ADJOINT:
         check(features_of([flow.problem.scene], "f32"))
     first = first_search(flow, target, errors := target.errors.matrix, start)

@@ -34,7 +34,7 @@ SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANT
 """Shares of a profile's area: the middles of twenty equal parts, and the front."""
 REPRESENTATION = 0.25  # standard deviation of a height at one x from the model's mean around it, in cells
 Ends = tuple[float, float]
-DRAWS = 400  # of noise on the heights, by which the covariance of the observation is known to 7 %
+DRAWS = 400  # draws of noise on the heights, which give the covariance of the observation to 7 %
 
 
 class Profile(Observation):

@@ -41,7 +41,7 @@ from validation.run_store import kept
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}
-"""Probability of a region -> allowed share of truths in it: with 40 twins chance leaves each range once in a hundred."""
+"""Probability of a region -> allowed share of truths in it: with 40 twins chance leaves a range once in a hundred."""
 BINS = 8  # of the ranks, in the test of their uniformity
 SIGNIFICANT = 0.01  # p-value below which ranks are not uniform: in so many tests, one in twenty would be below 0.05
 FIRST_SEED = 100_000  # jitter seed of the first twin's target, then upwards; inversions have other seeds
@@ -76,11 +76,11 @@ DEFAULT = ("front", "profile")  # default families
 
 @dataclass(frozen=True, kw_only=True)
 class Twin(Record):
-    """Where the posterior has the truth."""
+    """Place of the truth in the posterior."""
 
     seed: int
     denser: float
-    """Share of the posterior that is denser than the truth: above 0.95 it is outside of the 95 % region."""
+    """Share of the posterior that is denser than the truth: above 0.95 the truth is outside the 95 % region."""
     below: dict[str, float]  # share of each number's marginal below the true value
     inside: int  # number of true values within the intervals of the answer that contains most of them
     answers: int
@@ -174,10 +174,10 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
 
 
 def forecasts(family: Family, number: int, problem: Problem, result: Path, simulate: Simulate) -> dict[str, bool]:
-    """Whether the intervals of a forecast by the posterior in `result` hold the numbers of the flow with the truth."""
+    """Whether the intervals of a forecast from the posterior in `result` contain the numbers of the true flow."""
     scene = replace(read_scene(Path(__file__).parent / str(family.forecast)), seed=FIRST_SEED + number)
     prediction = forecast_scene(result, scene, simulate=simulate)
-    # Further jitter seeds than those of the draws.
+    # Jitter seeds other than those of the draws.
     true = at(scene, problem.names, np.array([problem.target.truth[name] for name in problem.names]), number)
     if family.finer is not None:
         true = true.with_cell(family.finer * true.domain.cell)

@@ -1,4 +1,4 @@
-"""`python -m validation.bench experiments`: measured flows at angles of friction measured by themselves, and back."""
+"""`python -m validation.bench experiments`: measured flows, computed at independently measured angles, and inverted."""
 
 import itertools
 import math

@@ -135,14 +135,14 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
 
 
 def measure(path: Path, family: str, number: int, store: RunStore) -> ModelErrors:
-    """Errors of a model on so many scenes of a family."""
+    """Errors of a model on `number` scenes of a family."""
     simulator, scenes = gns.load(path), held_out(family, number)
     fine = [scene for _, scene in scenes]
     references, again = (
         store.run([Run(scene=replace(scene, seed=scene.seed + more), record=AT_REST) for scene in fine])
         for more in (0, 1)
     )
-    # Kernels are compiled, or read from their cache, at a first call.
+    # The first call compiles kernels, or reads them from their cache.
     gns.simulate(fine[0], model=simulator)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

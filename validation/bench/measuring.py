@@ -1,4 +1,4 @@
-"""Seconds and memory that a piece of work takes: in turns, so that other load affects all alike, or in a process."""
+"""Time and memory of a piece of work: measured in turns, so that other load affects all alike, or in a process."""
 
 import ctypes
 import gc
@@ -26,9 +26,9 @@ from mpm import Recording, simulate
 P = ParamSpec("P")
 Key = TypeVar("Key")
 T = TypeVar("T")
-Found = dict[str, Any]  # what a piece of work came to and took, by key
+Found = dict[str, Any]  # results and costs of a piece of work, by key
 CLEAR = Path("/proc/self/clear_refs")
-RESET_PEAK = "5"  # written into CLEAR, it begins the record of the peak anew
+RESET_PEAK = "5"  # written into CLEAR, it resets the record of the peak
 
 
 @dataclass(frozen=True)

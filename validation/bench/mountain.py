@@ -134,12 +134,12 @@ def sliding_point(x: Floats, height: Floats, start: float, friction: float) -> f
 
 
 def alike(ours: Floats, places: Sequence[Floats], beside: Raster) -> Found:
-    """How the speeds of a run compare with another code's cell by cell: plan overlap and their ratio (median)."""
+    """Cell-by-cell comparison of a run's speeds with another code's: plan overlap and median ratio."""
     both = zip((beside.x, beside.z), places, strict=True)
     nearest = [np.abs(axis[:, None] - place[None]).argmin(axis=0) for axis, place in both]
     theirs = beside.values[np.ix_(*nearest)]
     here, there = ours > MOVES, theirs > MOVES
-    # What the other reached outside of our box counts as missed.
+    # Cells that the other code reached outside our box count as missed.
     missed = int((beside.values > MOVES).sum()) - int(there.sum())
     common = here & there
     overlap = common.sum() / ((here | there).sum() + max(0, missed))

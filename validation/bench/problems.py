@@ -1,4 +1,4 @@
-"""`python -m validation.bench problems`: every shipped inverse problem, beside its criteria and the paper's figures."""
+"""`python -m validation.bench problems`: every shipped inverse problem, with its criteria and the paper's figures."""
 
 import hashlib
 import math
@@ -21,20 +21,20 @@ from validation.bench.page import Keep, Out, Row, between, emphasised, tables, w
 from validation.plots import BLUE, GREY, INK, ORANGE, RED, figure
 from validation.run_store import kept
 
-RESULT, KEY = "result.json", "made-of.txt"  # of a problem: what the loop wrote, and a digest of what it was made of
+RESULT, KEY = "result.json", "made-of.txt"  # of a problem: the loop's result, and a digest of its inputs
 ENDED = (0, 1)  # confirmed, and not
-LISTED = 4  # of more numbers than these the page has one row
+LISTED = 4  # a problem with more numbers has one row on the page
 ALONE, LED, COARSE = "MPM alone", "surrogate leads", "larger cells lead"  # the ways to an answer
 COLOURS = {ALONE: BLUE, LED: ORANGE}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Criteria(Record):
-    """What an outcome is compared with."""
+    """The criteria for an outcome."""
 
     verdict: Verdict = Verdict.CONFIRMED
     front_error_pct: float = math.inf  # largest relative error of the front in the MPM
-    unknown_error_pct: float = math.inf  # largest relative error of a number, where its half-width is no wider
+    unknown_error_pct: float = math.inf  # largest relative error of a number, unless its half-width is larger
     loss: float = math.inf  # largest loss in the MPM [m^2]
     inside: bool = False  # whether every true value has to be within its interval
 
@@ -212,9 +212,9 @@ def current_result(problem: Problem, folder: Path) -> dict[str, Any] | None:
 
 
 def solve(problem: Problem, folder: Path) -> None:
-    """Solve a problem by the loop in a process of its own; nothing current is in `folder` where that fails."""
+    """Solve a problem with the loop in its own process; if that fails, `folder` contains no current result."""
     if (folder / KEY).exists():
-        # Made of another problem or other weights: runs that it kept would cost this one no seconds.
+        # Runs of another problem or other weights would make this one seem cheaper.
         shutil.rmtree(folder)
     # If this run fails, an older result must not count as its result.
     (folder / RESULT).unlink(missing_ok=True)

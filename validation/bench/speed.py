@@ -152,11 +152,11 @@ def feature_row(name: str, feature: str, scene: Scene, without: Scene, rounds: i
 
 
 def started(scene: Scene, folder: str) -> float:
-    """CPU seconds of this new process, its kernels kept in `folder`, up to the end of the first frame of a scene."""
+    """CPU seconds of this new process up to the end of a scene's first frame; its kernels are cached in `folder`."""
     os.environ["TI_OFFLINE_CACHE_FILE_PATH"] = folder
     simulate(replace(scene, duration=scene.frame_dt), record=LAST, threads=1)
     seconds = time.process_time()
-    # Taichi writes its kernels when it ends, to which a worker of a pool does not come.
+    # Taichi writes its kernels on exit, which the worker of a pool never reaches.
     import taichi as ti
 
     ti.reset()

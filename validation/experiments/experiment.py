@@ -81,7 +81,7 @@ class Grains(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """An angle of friction as a scene is computed with it."""
+    """A friction angle as used in the computation of a scene."""
 
     name: str
     deg: float
@@ -100,15 +100,15 @@ class Measured(Record):
     quantity: Quantity
     value: float = 0.0  # [m], from the wall x = 0
     spread: Annotated[float, Bounds("a positive length in m", gt=0.0)]
-    """One unit of its uncertainty [m]; where sources disagree, half of the band between them, `value` its middle."""
-    spread_from: str = ""  # where the spread comes from
+    """One unit of its uncertainty [m]; if sources disagree, half of the band between them, with `value` its middle."""
+    spread_from: str = ""  # origin of the spread
     status: Literal["read", "worked out"]
     source: str
-    explanation: str = ""  # why the computation may differ: printed where it does, by more than twice the spread
-    thicker_than: float | None = None  # thickness [m] by which the measurement defines a front: where it first is less
+    explanation: str = ""  # why the computation may differ; printed if it does by more than twice the spread
+    thicker_than: float | None = None  # thickness [m] that defines a measured front: where it first falls below this
     beside_walls: float | None = None
-    """In 3D, width [m] of the strips along both side walls over which a front by thickness is measured, as by a camera
-    that looks through a wall. The whole width where absent."""
+    """In 3D, width [m] of the strips along both side walls in which a front by thickness is measured, as by a camera
+    that looks through a wall. Default: the whole width."""
     within: float | None = None  # strip [m] next to the wall over which a height is measured
     x: tuple[float, ...] = ()  # places of the measured heights of a profile [m], ascending
     heights: tuple[float, ...] = ()  # of the surface at `x` [m]
@@ -135,12 +135,12 @@ class Measured(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Case(Record):
-    """A scene and what was measured in it."""
+    """A scene and its measurements."""
 
     name: str
     scene: str  # file of the scene, beside the experiment
-    cells: tuple[float, float] | None = None  # its own grid cells [m]; the experiment's where absent
-    measured: tuple[Measured, ...]  # the first one is a front or a radius: an angle is inferred from it
+    cells: tuple[float, float] | None = None  # its own grid cells [m]; default: the experiment's
+    measured: tuple[Measured, ...]  # the first is a front or a radius, from which an angle is inferred
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -164,7 +164,7 @@ class Variant(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction(Record):
-    """A scene with no measured number beside it: when its flow arrives at gauges, and how thick it is there."""
+    """A scene without measured numbers: times of arrival at gauges, and the thickness there."""
 
     name: str
     scene: str  # file of the scene, beside the experiment
@@ -184,7 +184,7 @@ class Experiment(Record):
     source: str
     licence: str
     angles: tuple[Angle, ...] = ()
-    """The material's angles, of which computations use the first. Without any, an angle is inferred, nothing predicted."""
+    """The material's angles; computations use the first. Without any, an angle is inferred and nothing predicted."""
     grains: Grains | None = None  # growth of friction with the rate, if known
     cells: tuple[float, float]  # grid cells, the coarse and the fine one [m]
     cases: tuple[Case, ...] = ()

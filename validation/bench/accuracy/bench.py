@@ -41,7 +41,7 @@ SHIPPED_REFERENCE, SHIPPED_SEEDS = {2: 80.0, 3: 48.0}, {2: 3, 3: 2}
 def error(flow: Trajectory, reference: Trajectory) -> float:
     """The larger of the errors of front and profile of a deposit, over the extent [-]; reference: on a much finer grid.
 
-    The profile's error is `measures.transport_distance`; the extent is from the initial rear of the masses to the front.
+    The profile's error is `measures.transport_distance`; the extent is from the masses' initial rear to the front.
     """
     deposit, exact = flow.positions[-1], reference.positions[-1]
     front = measures.front(exact, reference.volumes)

@@ -63,10 +63,10 @@ class HardCase(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedCase:
-    """What was found of a row; a run that gave no trajectory has a message alone."""
+    """The findings of a row; for a run without a trajectory, only a message."""
 
     row: HardCase
-    kept: tuple[Finding, ...] = ()  # what every flow, and every deposit, has to keep
+    kept: tuple[Finding, ...] = ()  # invariants of every flow and every deposit
     own: tuple[Finding, ...] = ()
     blown_up: str = ""
 

@@ -81,7 +81,7 @@ class SlidingBlock:
 
 @dataclass(frozen=True, kw_only=True)
 class StandingWave:
-    """The lowest mode of an elastic body: velocity and displacement of one shape, oscillating at omega without decay."""
+    """The lowest mode of an elastic body: velocity and displacement of one shape oscillate at omega without decay."""
 
     axis: int  # along which it moves
     omega: float  # angular frequency [1/s]
@@ -106,7 +106,7 @@ class StandingWave:
     def decrement(self, flow: Trajectory) -> float:
         """Decay of the amplitude in `flow` per period [-], -d ln a / d(t / T): 2 pi times the damping ratio, exactly 0.
 
-        The amplitude a^2 = <v>^2 + omega^2 <u>^2 of velocity and displacement projected on the shape does not oscillate.
+        The amplitude a^2 = <v>^2 + omega^2 <u>^2 of velocity and displacement projected on the shape is constant.
         """
         assert flow.velocities is not None
         x = flow.positions[:, :, self.axis].astype(np.float64)

@@ -20,7 +20,7 @@ ROUNDING = 1.0e-4  # cells: rounding of a single-precision coordinate in a box o
 MOMENTUM = {"f32": 1.0e-4, "f64": 1.0e-5}
 """Relative error: in f32 the rounding of 10,000 steps; in f64 that of the recorded impulses, which have six digits."""
 ENERGY = 2.0e-4
-"""Share of the initial energy, which would lift the flow by this share of its initial mean height. A row may allow more."""
+"""Share of the initial energy: it would lift the flow by this share of its mean height. A row may allow more."""
 REST = 1.0e-3  # kinetic energy over its largest value at which the solver's `until_rest` ends
 BASE = 8  # cells over which a slope is measured
 REPOSE_MARGIN_DEG = 4.0

@@ -114,8 +114,8 @@ def fills_raster(flow: Trajectory) -> float:
 def at_rest_beyond_step(flow: Trajectory) -> NDArray[np.bool_]:
     """Which particles rest beyond the first solid, shape [N].
 
-    It leaves out particles that still move by more than a tenth of a cell per frame, and those within three cells of the
-    step, where one on its edge would count as a column as high as the step.
+    It leaves out particles that still move by more than a tenth of a cell per frame, and those within three cells of
+    the step, where one on its edge would count as a column as high as the step.
     """
     before, last = flow.positions[-2:].astype(np.float64)
     step, cell = flow.scene.solids[0], flow.scene.domain.cell
