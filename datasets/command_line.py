@@ -80,10 +80,10 @@ def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[s
 
 
 def application(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[str]) -> "App":
-    """A command, or a table of commands, as an application of cyclopts; of a table it imports the command named."""
+    """A command, or a table of commands, as a cyclopts application; from a table it imports only the named command."""
     from cyclopts import App
 
-    # Ctrl-C is ours: cyclopts would leave with a status of its own, and silently.
+    # Talus handles Ctrl-C itself: cyclopts would exit silently with its own status.
     text = "" if isinstance(command, Mapping) else command.__doc__
     app = App(name=name, help=text, version_flags=[], suppress_keyboard_interrupt=False)
     if not isinstance(command, Mapping):
@@ -99,5 +99,5 @@ def application(command: Callable[..., Any] | Commands, name: str, arguments: Se
 
 
 def disk_failed(error: BaseException) -> bool:
-    """Whether an error means that the disk is full, read-only or broken, so that no other file can be written either."""
+    """Whether an error means that the disk is full, read-only or broken, so that no other file can be written."""
     return isinstance(error, OSError) and errno.errorcode.get(error.errno or 0) in DISK_ERRORS

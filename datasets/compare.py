@@ -43,18 +43,18 @@ OVERLAP = "overlap"
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Two flows at the same times, and where each of them ends."""
+    """Two flows at the same times and at their ends."""
 
     labels: tuple[str, str]
     dimension: int
     time: Floats
     """Of the moments [s], shape [T]: frames of the first flow, up to the end of the second."""
     figures: tuple[Figures, Figures]
-    """Of each flow the `FIGURES`, at these times and then at its own end, shape [T + 1] each."""
+    """The `FIGURES` of each flow at these times and then at its own end, shape [T + 1] each."""
     apart: Figures
     """The distances of `APART` and `OVERLAP`, at these times and then of the ends, shape [T + 1] each."""
     ends: tuple[float, float]
-    """When each flow ends [s]."""
+    """Time of the end of each flow [s]."""
     stations: Floats
     """Middles of the columns in which the thickness is [m], shape [S]."""
     heights: tuple[Floats, Floats]

@@ -24,11 +24,11 @@ from datasets.memory import spoken
 PART = ".part-"  # prefix of files that are still being written
 LONGEST_LINE = 200  # largest number of characters of a library's message that are passed on
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-"""What text begins with that says how it is encoded."""
+"""Byte-order mark at the beginning of a text -> its encoding."""
 NEW_LINE = b"\n"
 LARGEST, LARGEST_TEXT = 2**30, 2**28  # bytes of a raster or a mesh, and of a file of text
 GREATEST = 1.0e12
-"""Numbers beyond this are no length, time, velocity or volume of anything that flows; their squares are finite."""
+"""Largest number accepted as a length, time, velocity or volume of a flow; its square is finite."""
 
 
 @contextmanager

@@ -65,12 +65,12 @@ class Forces:
 
 
 def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
-    """The force on every solid whose impulse was recorded, floor and walls of the box included, averaged over `window`
-    [s] besides. Raises InputError where none was, or for a window beyond 0 to twice the run."""
+    """The force on every solid with a recorded impulse, including the box's floor and walls, also averaged over
+    `window` [s]. Raises InputError if none was recorded, or for a window outside 0 to twice the run."""
     scene, time, recorded = trajectory.scene, trajectory.time, dict[str, Floats]()
     if trajectory.solid_impulse is not None:
         recorded |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))
-    # What the summary holds of the sides of the box has a value at every `frame_dt` of the scene.
+    # The summary has values for the sides of the box at every `frame_dt` of the scene.
     frames = np.rint(time / scene.frame_dt).astype(int)
     recorded |= {name: np.array(series)[frames] for name, series in trajectory.summary.get("side_impulse", {}).items()}
     require(bool(recorded), "", "a trajectory that recorded the momentum solids took, this one did not")
@@ -99,8 +99,8 @@ def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:
 
 
 def write_forces(trajectory: Trajectory, folder: Path, *, window: float = 0.0) -> Forces:
-    """Write forces.png and forces.csv into `folder`, and return the forces. The CSV has `time_s`, the end of an interval,
-    and the mean force over it for each solid and axis. Raises InputError as `forces_of`."""
+    """Write forces.png and forces.csv into `folder`, and return the forces. The CSV has `time_s`, the end of an
+    interval, and the mean force over it for each solid and axis. Raises InputError as `forces_of`."""
     forces = forces_of(trajectory, window=window)
     suffix, axes = forces.unit.replace("/", "_per_"), AXES[: forces.force.shape[2]]
     header = ["time_s", *(f"{name}_f{axis}_{suffix}" for name in forces.names for axis in axes)]

@@ -49,9 +49,9 @@ def locked(folder: Path) -> Iterator[Path]:
         write_text(folder / HOLDER, who)
         yield folder
     finally:
-        remove_parts(folder)  # those of its own processes, too, that a signal has ended
+        remove_parts(folder)  # also those of its own processes that a signal has ended
         (folder / HOLDER).unlink(missing_ok=True)
-        # While it is held: who waits for it sees that the name is gone, and begins anew.
+        # Removed while it is held: a waiting process sees that the name is gone, and starts again.
         if lock.is_locked and isinstance(lock, UnixFileLock):
             (folder / LOCK).unlink(missing_ok=True)
         lock.release()

@@ -1,4 +1,4 @@
-"""Memory: what is free, one line where more is asked for, and freed memory given back."""
+"""Memory: the free amount, an error in one line if more is needed, and the return of freed memory."""
 
 import ctypes
 from collections.abc import Callable

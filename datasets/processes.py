@@ -102,8 +102,8 @@ def processors() -> int:
 
 
 def end_with_parent() -> None:
-    """End this process as soon as its parent has ended, even by SIGKILL. On Linux the kernel does so; if multiprocessing
-    started it, a thread also watches the pipe to the parent."""
+    """End this process as soon as its parent has ended, even by SIGKILL. On Linux the kernel does so; if
+    multiprocessing started it, a thread also watches the pipe to the parent."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     parent = parent_process()
@@ -113,8 +113,8 @@ def end_with_parent() -> None:
 
 @contextmanager
 def without_main() -> Iterator[None]:
-    """In this context, started processes do not run the user's script again, so that it needs no guard. A module started
-    by `python -m` has a guard, and processes find its functions there."""
+    """In this context, started processes do not run the user's script again, so that it needs no guard. A module
+    started by `python -m` has a guard, and processes find its functions there."""
     main: Any = sys.modules["__main__"]
     file = getattr(main, "__file__", None) if getattr(main, "__spec__", None) is None else None
     if file is not None:

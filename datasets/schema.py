@@ -86,13 +86,13 @@ def bounds_of(kind: type) -> dict[str, Bounds]:
 
 
 def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a dataclass by key, as Python's own. Raises InputError for one of another type."""
+    """Key -> value of a dataclass, as Python's own types. Raises InputError for a value of another type."""
     keys, types = types_of(kind)
     values = tuple(given[key] for key in keys)
     try:
         return dict(zip(keys, types.validate_python(values), strict=True))
     except ValidationError:
-        values = plain(values)  # few are of numpy, and large tables take long to walk through
+        values = plain(values)  # few are NumPy's, and large tables take long to walk through
     try:
         return dict(zip(keys, types.validate_python(values), strict=True))
     except ValidationError as error:
@@ -100,7 +100,7 @@ def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
         key, *inside = mistake["loc"]
         key = keys[int(key)]
         bounds = bounds_of(kind).get(key)
-        # Of what may also be a word pydantic says but one part.
+        # For a key that may also be a word, pydantic's message covers only one alternative.
         said = bounds.expected if bounds is not None and bounds.words else mistake["msg"]
         raise wrong({**mistake, "msg": said, "loc": (key, *inside)}) from None
 
@@ -157,10 +157,10 @@ def seen(mistake: Mapping[str, Any]) -> str:
 
 
 def wrong(mistake: Mapping[str, Any]) -> InputError:
-    """What pydantic found of a value."""
+    """The InputError for pydantic's error."""
     path, cause = seen(mistake), mistake.get("ctx", {}).get("error")
     if isinstance(cause, InputError):
-        # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.
+        # The check of a part uses its own keys: `material.density` inside `masses[0].material`.
         key = cause.key.removeprefix(path.split(".")[-1] + ".") if path else cause.key
         return OutOfRange(cause.message, key=".".join(part for part in (path, key) if part))
     if mistake["type"] == "missing":
@@ -170,12 +170,12 @@ def wrong(mistake: Mapping[str, Any]) -> InputError:
 
 
 def keys_of(schema: dict[str, Any], place: Sequence[int | str]) -> tuple[list[str], list[str]]:
-    """The keys of the table at a place, and those of all tables, by the JSON schema of a record."""
+    """The keys of the table at a place, and those of all tables, from the JSON schema of a record."""
     tables: dict[str, Any] = schema.get("$defs", {})
     here, everywhere = schema, [key for each in (schema, *tables.values()) for key in each.get("properties", {})]
     for part in place:
         here = here.get("properties", {}).get(part, {}) if isinstance(part, str) else here.get("items", {})
-        # An optional table stands beside null.
+        # An optional table is an alternative to null.
         here = next((each for each in here.get("anyOf", ()) if each.get("type") != "null"), here)
         here = tables.get(str(here.get("$ref")).rsplit("/", 1)[-1], here)
     return [*here.get("properties", {})] or everywhere, everywhere

@@ -1,7 +1,7 @@
 """python -m datasets.exchange DATASET --to geoelements, or --from geoelements: datasets in the layout of that code.
 
-One trajectory is in memory at a time. Their files know no scene: all trajectories of theirs get the one that the user
-gives, which says box, obstacles and material; each has the angle of its particles and the box that they begin in.
+One trajectory is in memory at a time. The other code's files contain no scene: all its trajectories get the scene that
+the user gives, with box, obstacles and material; each has the angle of its particles and the box in which they start.
 """
 
 import sys
@@ -30,13 +30,13 @@ from datasets.scene.library import read_scene
 from datasets.schema import Record, from_mapping
 
 STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
-"""Keys of `metadata.json` that theirs shares with ours."""
-CLOSE = 1.0e-6  # relative difference of two boxes that is rounding
+"""Keys that both versions of `metadata.json` share."""
+CLOSE = 1.0e-6  # relative difference of two boxes within rounding
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignMetadata(Record):
-    """What Talus uses of their `metadata.json`."""
+    """The keys of the other code's `metadata.json` that Talus uses."""
 
     bounds: tuple[tuple[float, float], ...]  # lower and upper end of the box per axis [m]
     dt: float  # time between frames [s]
@@ -44,8 +44,8 @@ class ForeignMetadata(Record):
 
 
 def export(dataset: Path, out: Path) -> None:
-    """Write a dataset to the folder `out` in their layout. Raises InputError for trajectories that do not share box,
-    frames and spacing, and where `out` holds anything."""
+    """Write a dataset to the folder `out` in the other layout. Raises InputError for trajectories that do not share
+    box, frames and spacing, and if `out` is not empty."""
     files = {split: trajectory_files(dataset / split.value) for split in Split}
     described = described_as_theirs(dataset, files)
     check_empty(out)
@@ -57,7 +57,7 @@ def export(dataset: Path, out: Path) -> None:
 
 
 def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> dict[str, Any]:
-    """The contents of their `metadata.json`, from scenes and shapes alone. Raises InputError."""
+    """The contents of the other code's `metadata.json`, from scenes and shapes only. Raises InputError."""
     content = read_metadata(dataset / "metadata.json")
     for key in STATISTICS:
         require(key in content, key, "a value, the key is missing", where=str(dataset / "metadata.json"))
@@ -81,7 +81,7 @@ def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) ->
         **{key: content[key] for key in STATISTICS},
         "sequence_length": frames,
         "material_feature_len": 1,
-        # Five velocities and two walls an axis, an embedding of the type, and the material.
+        # Five velocities and two walls per axis, an embedding of the type, and the material.
         "nnode_in": 5 * len(size) + 2 * len(size) + 16 + 1,
         "nedge_in": len(size) + 1,
         "nmessage_passing_steps": 10,
@@ -89,8 +89,8 @@ def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) ->
 
 
 def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
-    """Write a dataset in their layout to the folder `out`; scene: of all trajectories; up: which axis is. Raises
-    InputError for what is no such dataset, and where `out` holds anything."""
+    """Convert a dataset in the other layout into the folder `out`; scene: of all trajectories; up: the axis that points
+    up. Raises InputError for another kind of dataset, and if `out` is not empty."""
     content = read_metadata(source / "metadata.json")
     check_empty(out)
     entries: list[Entry] = []
@@ -99,7 +99,7 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
         path = source / f"{split.value}.npz"
         if not path.exists():
             continue
-        # They may describe a larger box for rollouts than for training.
+        # The file may describe a larger box for rollouts than for training.
         purpose = content.get("rollout" if split is Split.TEST else "train", content)
         values = {key: purpose[key] for key in ForeignMetadata.__dataclass_fields__ if key in purpose}
         with naming(source / "metadata.json"):
@@ -119,8 +119,8 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
 
 
 def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:
-    """The trajectory of their sand, in `scene`; a particle has the volume of its share of a lattice of the set's
-    spacing, else of that in the first frame. Raises InputError where the scene's box is another one."""
+    """The trajectory of the imported sand, in `scene`; a particle has the volume of a lattice cell of the dataset's
+    spacing, else of that in the first frame. Raises InputError if the scene has another box."""
     (positions, friction), bounds = sand, np.array(foreign.bounds)
     if up == "z":
         require(positions.shape[2] == 3, "", "a set in 3D for --up z")
@@ -147,8 +147,8 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
 
 
 def own_scene(scene: Scene, places: Floats, velocities: Floats, friction: Floats | None, spacing: float) -> Scene:
-    """With the angle of the particles, where they have one, and the box of their first `places` [m], where that is one:
-    ranges and units of a model follow from these."""
+    """The scene with the angle of the particles, if given, and a mass that fills the box of their first `places` [m],
+    if they fill one: the ranges and units of a model follow from these."""
     if friction is not None and np.ptp(friction) <= CLOSE * abs(float(friction[0])):
         angle = float(np.degrees(np.arctan(friction[0])))
         scene = replace(scene, material=replace(scene.material, friction_deg=angle, angle="triaxial"))
@@ -163,12 +163,12 @@ def own_scene(scene: Scene, places: Floats, velocities: Floats, friction: Floats
     try:
         return replace(scene, masses=(body,), fields=(), stages=())
     except InputError:
-        # Rounding has put it into an obstacle.
+        # Rounding has put the mass into an obstacle.
         return scene
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
-    """Read a `metadata.json`. Raises InputError, also where there is none."""
+    """Read a `metadata.json`. Raises InputError, also if there is none."""
     data = read_json(path)
     if data is None:
         raise InputError("expected a JSON file, there is none", where=str(path))
@@ -176,7 +176,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
 
 def check_empty(out: Path) -> None:
-    """Raise InputError where `out` is no folder or holds anything: nothing is overwritten."""
+    """Raise InputError if `out` is no folder or is not empty, so that nothing is overwritten."""
     empty = not out.exists() or (out.is_dir() and all(path.name[0] == "." for path in out.iterdir()))
     require(empty, "", "an empty folder", where=str(out))
 
@@ -191,19 +191,19 @@ def command(
     scene: str | None = None,
     up: Literal["y", "z"] = "y",
 ) -> None:
-    """Write a dataset of Talus in the layout of geoelements/gns, or one of theirs as a dataset of Talus.
+    """Convert a dataset of Talus into the layout of geoelements/gns, or a geoelements dataset into one of Talus.
 
-    One trajectory is in memory at a time. Their files are read without executing anything they hold.
+    One trajectory is in memory at a time. Foreign files are read without executing their contents.
 
     Args:
-        dataset: With --to a folder from python -m mpm.generate; with --from one of theirs: train, valid, test in .npz
-            and metadata.json.
-        out: Folder of the result; empty.
+        dataset: With --to, a folder from python -m mpm.generate; with --from, a geoelements folder with train, valid,
+            test in .npz and metadata.json.
+        out: Folder of the result, which has to be empty.
         to: Layout to write.
         from_: Layout to read.
-        scene: With --from: the scene of all trajectories, a path or a shipped name: their box, obstacles, and the
-            friction angle where the set has no tan(phi).
-        up: With --from: the axis that points up, y or z.
+        scene: With --from, the scene of all trajectories, a path or a shipped name: it gives box and obstacles, and the
+            friction angle if the dataset has no tan(phi).
+        up: With --from, the axis that points up, y or z.
     """
     require((to is None) != (from_ is None), "", "one of --to and --from")
     if (scene is None) != (from_ is None) or (to is not None and up != "y"):
