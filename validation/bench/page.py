@@ -20,9 +20,7 @@ from datasets.files import write_text
 from datasets.markdown import markdown_table
 
 Out = Annotated[Path, Parameter(help="Folder of the page and its pictures.")]
-Keep = Annotated[
-    Path | None, Parameter(help="Folder of finished work, which is reused; default: a temporary folder.")
-]
+Keep = Annotated[Path | None, Parameter(help="Folder of finished work, which is reused; default: a temporary folder.")]
 Many = Parameter(validator=Number(gte=1))  # a number of at least one
 Rounds = Annotated[int, Many, Parameter(help="Number of repetitions; tables give median and range.")]
 TEMPLATES = Path(__file__).parent / "pages"
