@@ -2,11 +2,11 @@
 
 Discharge Q and speed v are linear between the times of a hydrograph. Of N particles that share the volume of the
 inflow, V_p each, the i-th enters with v(t_i) when half of it has flowed in: int_0^{t_i} Q dt = (i + 1/2) V_p. So the
-volume of those that have entered is the integral of the discharge to half a particle, at any time. It enters in the
-area A = Q / v of the section, below a level that is the same all across and above the ground beneath it. Where, follows
-from a Kronecker sequence (Kuipers and Niederreiter 1974, section 2.3), the fractions of i / g and, in 3D, of i / g^2,
-with the golden ratio g^2 = g + 1, in 3D the plastic number g^3 = g + 1: shares of the area and of the depth there. So
-particles keep the distances of a lattice whatever speed and depth are. A section in 2D is one metre wide along z here.
+entered volume equals the integral of the discharge to within half a particle, at any time. A particle enters within the
+area A = Q / v of the section, between the ground and a level surface. A Kronecker sequence (Kuipers and Niederreiter
+1974, section 2.3) gives its place: the fractions of i / g and, in 3D, of i / g^2, with the golden ratio g^2 = g + 1, in
+3D the plastic number g^3 = g + 1, are shares of the area and of the depth there. Particles thus keep the distances of a
+lattice at any speed and depth. A section in 2D is one metre wide along z here.
 """
 
 from dataclasses import dataclass

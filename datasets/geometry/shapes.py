@@ -73,7 +73,7 @@ def check_rows(rows: Rows, key: str, width: int, *, least: int = 1) -> None:
 
 
 def check_grid(shape: Solid | Mass | Water, values: Rows, key: str, name: str) -> None:
-    """Raise InputError unless `values` of the key `name` are numbers on a grid in x and z, for a surface 2 x 2 or more."""
+    """Raise InputError unless `values` in key `name` are numbers on a grid in x and z, for a surface 2 x 2 or more."""
     least = 1 if name == "thickness" else 2
     check_vector(shape.origin or (), f"{key}.origin", 2)
     check_vector(shape.spacing or (), f"{key}.spacing", 2)
