@@ -1,4 +1,4 @@
-"""What a scene, a material and a trajectory are, and how they are read and written.
+"""Scenes, materials and trajectories, and how they are read and written.
 
 For example:
 
@@ -33,7 +33,7 @@ def __dir__() -> list[str]:
 
 
 def _warn_of_namesake() -> None:
-    """Hugging Face's package `datasets` has the same name, and Python imports one of the two alone."""
+    """Warn if Hugging Face's package `datasets` is installed: it has the same name, and Python imports only one."""
     try:
         other = distribution("datasets").version
     except PackageNotFoundError:
@@ -43,7 +43,7 @@ def _warn_of_namesake() -> None:
 
 
 def _warn_of_shadowing() -> None:
-    """Python imports a folder or a file of the user's own, beside a script or where it runs, in place of a package."""
+    """Warn if a folder or file of the user, beside a script or in the working folder, hides a package of Talus."""
     for spec in filter(None, map(find_spec, ("mpm", "gns", "inverse", "validation"))):
         place = Path([*(spec.submodule_search_locations or ()), spec.origin or ""][0])
         if place.resolve() != Path(__file__).resolve().parents[1] / spec.name:

@@ -1,6 +1,6 @@
-"""How every command of Talus begins and ends: flags by cyclopts, mistakes in one line, exit status 0, 1 or 2.
+"""The frame of every command of Talus: flags by cyclopts, errors in one line, exit status 0, 1 or 2.
 
-A command is a function. `python -m MODULE` runs that of its module; `talus NAME` finds the same function in a table.
+A command is a function. `python -m MODULE` runs the module's function; `talus NAME` finds the same one in a table.
 """
 
 import errno
@@ -20,30 +20,30 @@ if TYPE_CHECKING:
     from cyclopts import App
 
 Commands = Mapping[str, tuple[str, str]]
-"""By name: MODULE:FUNCTION, or MODULE:TABLE of further commands, and what it does."""
+"""Name -> MODULE:FUNCTION, or MODULE:TABLE of further commands; and a description."""
 
 DISK_ERRORS = {"ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "EPERM", "EIO", "ESTALE"}
-"""What a disk says that is full, read-only or broken: no mistake of the program's."""
+"""Errors of a disk that is full, read-only or broken, which are no errors of the program."""
 
 
-_running: list[str] = []  # command lines, of which one that another calls is the last
+_running: list[str] = []  # command lines; if one command calls another, the called one is last
 
 
 def invocation() -> str:
-    """The command line that runs, as a shell takes it; empty in a script of one's own."""
+    """The running command line, quoted for a shell; empty in a user's own script."""
     return _running[-1] if _running else ""
 
 
 def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[str] | None = None) -> int:
-    """Run a command, or that of a table which is named first, with the flags on the command line. Prints the text that
-    it returns. No traceback for a user's mistake, nor for a failing disk. Returns its exit status: 0 done, 1 the work
-    failed, 2 the input is wrong; 130 after Ctrl-C, 143 after SIGTERM."""
-    from cyclopts import CycloptsError  # whoever needs an exception alone waits for no parser of flags
+    """Run a command, or the first-named command of a table, with the flags on the command line, and print the text that
+    it returns. A user's error or a failing disk gives no traceback. Returns the exit status: 0 done, 1 the work failed,
+    2 the input is wrong; 130 after Ctrl-C, 143 after SIGTERM."""
+    from cyclopts import CycloptsError  # imported here: users of this module's other functions do not need it
 
     given = sys.argv[1:] if arguments is None else list(arguments)
     _running.append(f"{name} {shlex.join(given)}".strip())
     python_format = warnings.formatwarning
-    # What a warning says, without the place in the program that says it.
+    # Print the text of a warning without its place in the program.
     warnings.formatwarning = lambda message, *_, **__: f"talus: {message}\n"
     try:
         with terminable():
@@ -59,7 +59,7 @@ def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[s
         print(f"talus: {error}", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        # Of `talus scenes | head`. Python would flush once more.
+        # As in `talus scenes | head`. Python would flush once more.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
@@ -68,7 +68,7 @@ def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[s
         print(f"talus: {error.filename or 'output'}: {error.strerror}; what was finished is kept", file=sys.stderr)
         return 1
     except MemoryError:
-        print("talus: the memory of this machine did not do: larger cells, fewer frames or fewer jobs", file=sys.stderr)
+        print("talus: not enough memory; choose larger cells, fewer frames or fewer jobs", file=sys.stderr)
         return 1
     except KeyboardInterrupt as interrupt:
         print(f"talus: interrupted; {str(interrupt) or 'what was finished is kept'}", file=sys.stderr)
@@ -80,10 +80,10 @@ def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[s
 
 
 def application(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[str]) -> "App":
-    """A command, or a table of commands, as an application of cyclopts; of a table it imports the command named."""
+    """A command, or a table of commands, as a cyclopts application; from a table it imports only the named command."""
     from cyclopts import App
 
-    # Ctrl-C is ours: cyclopts would leave with a status of its own, and silently.
+    # Talus handles Ctrl-C itself: cyclopts would exit silently with its own status.
     text = "" if isinstance(command, Mapping) else command.__doc__
     app = App(name=name, help=text, version_flags=[], suppress_keyboard_interrupt=False)
     if not isinstance(command, Mapping):
@@ -99,5 +99,5 @@ def application(command: Callable[..., Any] | Commands, name: str, arguments: Se
 
 
 def disk_failed(error: BaseException) -> bool:
-    """Whether an error says that the disk is full, read-only or broken, so that no other file can be written either."""
+    """Whether an error means that the disk is full, read-only or broken, so that no other file can be written."""
     return isinstance(error, OSError) and errno.errorcode.get(error.errno or 0) in DISK_ERRORS

@@ -1,12 +1,12 @@
-"""python -m datasets.compare A B --out DIR: two flows side by side, over time and where they end.
+"""python -m datasets.compare A B --out DIR: compares two flows over time and at their ends.
 
-Two runs of the MPM, of the MPM and a surrogate, two angles. At a time between two frames a flow is linear between them.
-Energies follow from the particles, so that they mean the same of both:
+For example two MPM runs, an MPM run and a surrogate, or two angles. Between two frames a flow is interpolated linearly.
+Energies come from the particles, so that they have the same meaning for both:
 
     E_kin = 1/2 sum_i rho_i V_i |v_i|^2,    E_pot = -sum_i rho_i V_i g . x_i
 
-Where all particles of the flow that has fewer began where one of the other did, the root mean square of their
-distances counts besides; the deposits' own distance along x needs no such pairs (`measures.transport_distance`).
+If all particles of the flow with fewer particles started at places of the other's, the root mean square distance of
+these pairs is given too; the distance of the deposits along x needs no pairs (`measures.transport_distance`).
 """
 
 import math
@@ -31,37 +31,37 @@ from datasets.scene.grid_field import Floats
 
 Figures = dict[str, Floats]
 
-MOMENTS = 60  # at most so many are compared, evenly in time
+MOMENTS = 60  # largest number of compared moments, evenly spaced in time
 FIGURES = {"front": "m", "runout": "m", "toe": "m", "height": "m", "kinetic": "J", "potential": "J"}
-"""Of a flow at a time, with their units, energies in 2D per metre of width; `toe` is its x, `height` the mean of the
-volume above the ground, `kinetic` may be nan."""
+"""Figures of a flow at a time -> unit, in 2D energies per metre of width. `toe` is its x, `height` the mean height of
+the volume above the ground, `kinetic` may be nan."""
 APART = {"thickness": "thickness", "equal shares along x": "transport", "same particles": "positions"}
-"""Root mean square distances of two flows [m], what they are called; nan where no particles are the same."""
+"""Name -> root mean square distance of two flows [m]; nan without common particles."""
 OVERLAP = "overlap"
-"""What they have besides: `measures.overlap` in plan [-]."""
+"""A further measure: `measures.overlap` in plan [-]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Two flows at the same times, and where each of them ends."""
+    """Two flows at the same times and at their ends."""
 
     labels: tuple[str, str]
     dimension: int
     time: Floats
     """Of the moments [s], shape [T]: frames of the first flow, up to the end of the second."""
     figures: tuple[Figures, Figures]
-    """Of each flow the `FIGURES`, at these times and then at its own end, shape [T + 1] each."""
+    """The `FIGURES` of each flow at these times and then at its own end, shape [T + 1] each."""
     apart: Figures
     """The distances of `APART` and `OVERLAP`, at these times and then of the ends, shape [T + 1] each."""
     ends: tuple[float, float]
-    """When each flow ends [s]."""
+    """Time of the end of each flow [s]."""
     stations: Floats
     """Middles of the columns in which the thickness is [m], shape [S]."""
     heights: tuple[Floats, Floats]
     """Thickness of the two deposits [m], shape [S] each; in 3D its mean across the box."""
 
     def as_json(self) -> dict[str, Any]:
-        """As `comparison.json` has it."""
+        """The contents of `comparison.json`."""
         every = dict(zip(("a", "b", "difference"), (*self.figures, self.apart), strict=True))
         profile = dict(zip(("x", "a", "b"), (self.stations, *self.heights), strict=True))
         return {
@@ -78,7 +78,7 @@ class Comparison:
         }
 
     def table(self) -> str:
-        """Markdown: both flows where they end, and how far they are apart there."""
+        """A Markdown table: both flows at their ends, and the distances between them."""
         rows = [["time [s]", *map(spoken, self.ends), f"{self.ends[1] - self.ends[0]:+.3g}"]]
         for key, unit in FIGURES.items():
             name = "mean height" if key == "height" else key if unit == "m" else f"{key} energy"
@@ -91,7 +91,7 @@ class Comparison:
 
 
 def figures_of(flow: FlowFields, values: Values) -> list[float]:
-    """The `FIGURES` of a flow whose particles have these fields; NaN where none has entered."""
+    """The `FIGURES` of a flow whose particles have these fields; NaN if none has entered."""
     here, velocity = values["entered"], values.get("velocity")
     if not here.any():
         return [math.nan] * len(FIGURES)
@@ -107,12 +107,12 @@ def figures_of(flow: FlowFields, values: Values) -> list[float]:
 
 @dataclass(frozen=True)
 class Columns:
-    """Where the thickness of several flows is: columns as wide as two cells, or two particles where these are fewer."""
+    """Columns in which the thickness of several flows is given: two cells wide, or two particles if these are wider."""
 
     width: float
     """[m]."""
     plan: tuple[float, ...]
-    """Level lengths of the box around all [m]."""
+    """Horizontal lengths of the box around all flows [m]."""
 
     @staticmethod
     def of_flows(flows: Sequence[Trajectory]) -> "Columns":
@@ -127,18 +127,18 @@ class Columns:
         return self.width * (np.arange(round(self.plan[0] / self.width), dtype=np.float64) + 0.5)
 
     def thickness(self, flow: Trajectory, positions: NDArray[Any]) -> Floats:
-        """Of a flow whose particles are at `positions` [m], shape [S], in 3D [S, Z]."""
+        """Thickness of a flow with particles at `positions` [m], shape [S], in 3D [S, Z]."""
         raised = measures.above(positions, measures.ground_of(flow.scene))
         return measures.thickness(raised, FlowFields(flow).spacing, self.width, self.plan)
 
 
 def along(thickness: Floats) -> Floats:
-    """The thickness [m] along x, in 3D its mean across the box, shape [S]."""
+    """The thickness [m] along x, in 3D the mean across the box, shape [S]."""
     return thickness if thickness.ndim == 1 else np.asarray(thickness.mean(axis=1), np.float64)
 
 
 def evenly(time: Floats, most: int = MOMENTS) -> Floats:
-    """At most so many of the times, evenly, the first and the last among them."""
+    """At most `most` of the times, evenly spaced, including the first and the last."""
     return np.asarray(time[np.unique(np.linspace(0, len(time) - 1, min(most, len(time))).round().astype(int))])
 
 
@@ -148,8 +148,8 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
         found = compare(mpm.simulate("column-tall-42"), gns.simulate("column-tall-42"))
         print(found.table())
 
-    x counts from the box's lower corner. Raises InputError where one is in 2D and the other in 3D, and for boxes in
-    two places of a map.
+    x counts from the box's lower corner. Raises InputError if one is in 2D and the other in 3D, and for boxes at
+    different places of a map.
     """
     dimension, its = one.scene.dimension, other.scene.dimension
     require(dimension == its, "", f"a {dimension}D flow to compare with one", f"{its}D")
@@ -157,7 +157,7 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     both, columns = (FlowFields(one), FlowFields(other)), Columns.of_flows((one, other))
     same = pairs(*both)
     end = float(other.time[-1]) * (1.0 + 1e-9)
-    # A first flow that begins after the end of the second has one moment.
+    # If the first flow starts after the end of the second, there is one moment.
     time = evenly(one.time[: max(1, int(np.searchsorted(one.time, end)))])
     ends = (float(one.time[-1]), float(other.time[-1]))
     rows: tuple[list[list[float]], ...] = ([], [], [])
@@ -189,12 +189,12 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
 
 
 def spoken(value: float, form: str = ".5g") -> str:
-    """A number in words; a dash where there is none."""
+    """A number as text; a dash for nan."""
     return "-" if math.isnan(value) else format(value, form)
 
 
 def draw(path: Path, comparison: Comparison) -> None:
-    """Profiles of the deposits; fronts, energies and distances over time."""
+    """Plot the profiles of the deposits, and fronts, energies and distances over time."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 6.4), layout="constrained")
@@ -222,7 +222,7 @@ def command(one: Path, other: Path, /, *, out: Path | None = None) -> None:
 
     Args:
         one: A trajectory (NPZ or HDF5), or the folder of a run that holds one.
-        other: The one beside it.
+        other: The second one.
         out: Folder for comparison.md, comparison.png and comparison.json; without it the table is only printed.
     """
     paths = [trajectory_file(path) for path in (one, other)]
@@ -241,7 +241,7 @@ def command(one: Path, other: Path, /, *, out: Path | None = None) -> None:
 
 
 def labels_of(one: Path, other: Path) -> tuple[str, str]:
-    """What two runs are called: the names of their folders or files, or the whole paths where these are the same."""
+    """Labels of two runs: the names of their folders or files, or the whole paths if these are the same."""
     names = tuple(path.name if path.is_dir() else path.stem for path in (one.resolve(), other.resolve()))
     return (names[0], names[1]) if names[0] != names[1] else (str(one), str(other))
 

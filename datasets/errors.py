@@ -6,32 +6,32 @@ from contextlib import contextmanager
 from pathlib import Path
 
 LONGEST = 1000
-"""Characters of what is said: a file may be anybody's, and what it has in place of a number may be long."""
+"""Longest message in characters: the input may contain a very long text instead of a number."""
 
 
 class InputError(ValueError):
-    """A user's mistake in one line: which file, which key, what was expected; exit status 2."""
+    """A user's error in one line: the file, the key, the expected value; exit status 2."""
 
     def __init__(self, message: str, *, where: str = "", key: str = "") -> None:
         self.message, self.where, self.key = shortened(message), where, key
         super().__init__(": ".join(shortened(part) for part in (where, key, message) if part))
 
     def at(self, where: str, key: str = "") -> "InputError":
-        """The same mistake with the file it stands in, and with `key` where it names none."""
+        """The same error with its file, and with `key` if it names no key."""
         return InputError(self.message, where=where, key=self.key or key)
 
 
 class OutOfRange(InputError):
-    """Known keys and right types, but a value, or values together, that cannot be."""
+    """Known keys and right types, but an impossible value or combination of values."""
 
 
 class WorkFailed(RuntimeError):
-    """The input was right, the work did not succeed: exit status 1."""
+    """The input was right, but the work did not succeed: exit status 1."""
 
 
 @contextmanager
 def naming(path: Path, key: str = "") -> Iterator[None]:
-    """A mistake that the block finds, with the file `path` where it names no file, and with the key where none."""
+    """Adds the file `path` and the key to an InputError of the block that names none."""
     try:
         yield
     except InputError as error:
@@ -40,7 +40,7 @@ def naming(path: Path, key: str = "") -> Iterator[None]:
 
 @contextmanager
 def keyed(key: str) -> Iterator[None]:
-    """A mistake that the block finds, with `key` before its own key where it names no file."""
+    """Puts `key` before the key of an InputError of the block that names no file."""
     try:
         yield
     except InputError as error:
@@ -48,13 +48,13 @@ def keyed(key: str) -> Iterator[None]:
 
 
 def require(ok: bool, key: str, expected: str, got: object = ..., *, where: str = "") -> None:
-    """Raise InputError where `ok` does not hold of `key`; got: where there is more to say than what was expected."""
+    """Raise InputError for `key` unless `ok`; got: the actual value, if the message should contain it."""
     if not ok:
         raise InputError(f"expected {expected}" + ("" if got is ... else f", got {got}"), where=where, key=key)
 
 
 def suggestion(name: str, names: Collection[str]) -> str:
-    """Which of the known names may be meant by one that is none of them: the nearest, otherwise any."""
+    """The known names that an unknown name may mean: the nearest, otherwise all."""
     near = difflib.get_close_matches(name, names, n=1)
     return f"did you mean {near[0]!r}?" if near else f"one of {', '.join(names)}"
 

@@ -1,8 +1,8 @@
-"""Files: written whole or not at all, each beside its place and moved into it; read with one line for what is wrong.
+"""Files: written whole or not at all, each beside its place and then moved; read with errors in one line.
 
-This is the one place that moves results. The bytes are on the disk before the name is (`fsync` of the file, `rename`,
-`fsync` of the folder), so that a machine that dies in between leaves the old file or the new one. Files that are read
-may be anybody's: before and while a library reads them, whatever is wrong is one InputError that names the file.
+Only this module moves results. The bytes are on the disk before the name is (`fsync` of the file, `rename`, `fsync` of
+the folder), so that a crash leaves either the old file or the new one. Files that are read may come from anybody: any
+error before or while a library reads them becomes one InputError that names the file.
 """
 
 import codecs
@@ -21,26 +21,26 @@ from typing import Any, cast
 from datasets.errors import InputError, naming, require, shortened
 from datasets.memory import spoken
 
-PART = ".part-"  # what the names of files begin with that are still being written
-LONGEST_LINE = 200  # characters of a library's message that are passed on
+PART = ".part-"  # prefix of files that are still being written
+LONGEST_LINE = 200  # largest number of characters of a library's message that are passed on
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-"""What text begins with that says how it is encoded."""
+"""Byte-order mark at the beginning of a text -> its encoding."""
 NEW_LINE = b"\n"
 LARGEST, LARGEST_TEXT = 2**30, 2**28  # bytes of a raster or a mesh, and of a file of text
 GREATEST = 1.0e12
-"""Numbers beyond this are no length, time, velocity or volume of anything that flows; their squares are finite."""
+"""Largest number accepted as a length, time, velocity or volume of a flow; its square is finite."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` to write to; it becomes `path` if the block succeeds, else it goes. An
-    OSError names `path`. Raises InputError where a folder has its name, or a file that of its folder."""
+    """Yield a temporary path beside `path` to write to; it becomes `path` if the block succeeds, else it is removed. An
+    OSError names `path`. Raises InputError if `path` is a folder, or if its folder is a file."""
     part = path
     require(not path.is_dir(), "", "the name of a file to write, got a folder", where=str(path))
     try:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # The suffix stays: savez and savefig choose their format by it.
+            # Keep the suffix: savez and savefig choose their format by it.
             handle, name = tempfile.mkstemp(dir=path.parent, prefix=f"{PART}{path.stem}-", suffix=path.suffix)
         except (FileExistsError, FileNotFoundError, NotADirectoryError) as error:
             raise InputError(f"expected a folder to write to, {error.strerror}", where=str(path.parent)) from None
@@ -66,20 +66,20 @@ def flush(path: Path) -> None:
     try:
         os.fsync(handle)
     except OSError as error:
-        if error.errno != errno.EINVAL:  # some file systems of a network have no such call for folders
+        if error.errno != errno.EINVAL:  # some network file systems have no such call for folders
             raise
     finally:
         os.close(handle)
 
 
 def remove_parts(folder: Path) -> None:
-    """Remove what killed processes left of files that they were writing, in `folder` and below."""
+    """Remove partial files of killed processes, in `folder` and below."""
     for part in folder.rglob(f"{PART}*"):
         part.unlink(missing_ok=True)
 
 
 def make_folder(path: Path) -> None:
-    """Make the folder of a command's results before its work, which would be lost. Raises InputError."""
+    """Make the folder of a command's results before the work, which would otherwise be lost. Raises InputError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         if not os.access(path, os.W_OK | os.X_OK):
@@ -89,7 +89,7 @@ def make_folder(path: Path) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write `value` as indented JSON; NaN and infinities become null, which every JSON reader takes."""
+    """Write `value` as indented JSON; NaN and infinities become null, which every JSON reader accepts."""
     write_text(path, json.dumps(finite(value), indent=2) + "\n")
 
 
@@ -106,7 +106,7 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]
 
 
 def finite(value: Any) -> Any:
-    """`value` with null in place of NaN and infinities, at any depth."""
+    """`value` with null instead of NaN and infinities, at any depth."""
     if isinstance(value, Mapping):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -117,8 +117,8 @@ def finite(value: Any) -> Any:
 
 
 def file_size(path: Path, what: str, *, most: int | None = None) -> int:
-    """The size of a file [bytes]; what: such as `a trajectory (NPZ)`. Raises InputError where there is none, for one
-    beyond `most`, and for a device or a pipe, which would never end."""
+    """The size of a file [bytes]; what: its description, such as `a trajectory (NPZ)`. Raises InputError for a missing
+    file, for one larger than `most`, and for a device or a pipe, which would never end."""
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -134,8 +134,8 @@ def file_size(path: Path, what: str, *, most: int | None = None) -> int:
 
 @contextmanager
 def reading(path: Path, what: str, key: str = "") -> Iterator[None]:
-    """Whatever a library makes of a broken or hostile file in the block, as one InputError that names file and key.
-    Keep the block to the library's own work, so that no mistake of ours hides in it."""
+    """Converts any error of a library on a broken or hostile file in the block into one InputError that names file and
+    key. Limit the block to the library's own work, so that it hides no error of ours."""
     with naming(path, key):
         try:
             yield
@@ -146,19 +146,19 @@ def reading(path: Path, what: str, key: str = "") -> Iterator[None]:
 
 
 def line_of(error: BaseException) -> str:
-    """What an error says, in one short line."""
+    """The message of an error, in one short line."""
     text = " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__
     return shortened(text, LONGEST_LINE)
 
 
 def decoded(raw: bytes, errors: str = "strict") -> str:
-    """Text in UTF-8, or as the mark of the byte order says with which it begins. Raises UnicodeDecodeError."""
+    """Text in UTF-8, or in the encoding of its byte-order mark. Raises UnicodeDecodeError."""
     return raw.decode(next((name for mark, name in MARKS.items() if raw.startswith(mark)), "utf-8"), errors)
 
 
 def read_text(path: Path, what: str, *, windows: bool = False) -> str:
-    """The text of a file (`decoded`), its lines ended by a line feed. Raises InputError. windows: whether bytes that
-    are no UTF-8 are letters of Windows-1252, in which spreadsheets of Western Europe write."""
+    """The text of a file (`decoded`), with lines ended by a line feed. Raises InputError. windows: whether bytes that
+    are no UTF-8 are read as Windows-1252, the encoding of Western European spreadsheets."""
     file_size(path, what, most=LARGEST_TEXT)
     with reading(path, f"{what} that can be read"):
         raw = path.read_bytes()
@@ -180,7 +180,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Parse a file with a JSON object; None where there is no file. Raises InputError, which names the file."""
+    """Parse a file with a JSON object; None if there is no file. Raises InputError, which names the file."""
     if not path.exists():
         return None
     text = read_text(path, "a JSON file")
@@ -189,7 +189,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def json_object(text: str, key: str = "") -> dict[str, Any]:
-    """Parse the JSON object that stands at `key`. Raises InputError."""
+    """Parse the JSON object of `key`. Raises InputError."""
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -2,9 +2,9 @@
 
     F_k = (J(t_k) - J(t_(k-1))) / (t_k - t_(k-1)),    J(t_(-1)) = 0
 
-J is the momentum that a solid has taken since the start, as recorded (`Trajectory.solid_impulse`); F_k is the mean
-force over the interval that ends at t_k. So sum_k F_k (t_k - t_(k-1)) = J(end), exactly. Smoothed, J is its mean over a
-window w, with the force mirrored at both ends, which leaves that sum as it is:
+J is the recorded impulse on a solid since the start (`Trajectory.solid_impulse`); F_k is the mean force over the
+interval that ends at t_k. So sum_k F_k (t_k - t_(k-1)) = J(end), exactly. Smoothing replaces J by its mean over a
+window w, with the force mirrored at both ends, which does not change that sum:
 
     J_w(t) = 1 / w  integral of J from t - w/2 to t + w/2,    J(-t) = -J(t),  J(T + t) = 2 J(T) - J(T - t)
 """
@@ -23,21 +23,21 @@ from datasets.scene.grid_field import Floats
 
 TABLE, PLOT = "forces.csv", "forces.png"
 AXES = ("x", "y", "z")
-ROUNDING = 1.0e-9  # relative difference up to which two times are the same
-MOST_PANELS = 6  # solids in one plot; of more, those with the largest peaks are drawn
+ROUNDING = 1.0e-9  # relative difference up to which two times are equal
+MOST_PANELS = 6  # most solids in one plot; of more, those with the largest peaks are drawn
 
 
 @dataclass(frozen=True, kw_only=True)
 class Forces:
     """Mean forces on solids over the intervals of a trajectory's frames."""
 
-    names: tuple[str, ...]  # of baffles, other solids, then the sides of the box where recorded, `y-` the floor
-    time: Floats  # ends of the intervals [s], shape [T]; each begins where the one before ends, the first at 0
+    names: tuple[str, ...]  # of baffles, other solids, then the sides of the box if recorded; `y-` is the floor
+    time: Floats  # ends of the intervals [s], shape [T]; each starts at the end of the one before, the first at 0
     force: Floats  # on each solid [N, in 2D per metre of width], shape [T, S, D]; positive along the axes of the box
 
     @property
     def edges(self) -> Floats:
-        """Where the intervals begin and end [s], shape [T + 1]."""
+        """Ends of all intervals, including the start [s], shape [T + 1]."""
         return np.concatenate([[0.0], self.time])
 
     @property
@@ -47,7 +47,7 @@ class Forces:
 
     @property
     def impulse(self) -> Floats:
-        """Momentum that each solid has taken by the end [N s or N s/m], shape [S, D]: the sum of force times time."""
+        """Total impulse on each solid [N s or N s/m], shape [S, D]: the sum of force times time."""
         return np.asarray(np.einsum("tsd, t -> sd", self.force, np.diff(self.edges)))
 
     @property
@@ -60,24 +60,24 @@ class Forces:
 
     @property
     def largest(self) -> dict[str, float]:
-        """The largest force by the name of a solid [N or N/m]."""
+        """Name of a solid -> largest force [N or N/m]."""
         return {name: force for name, (force, _) in zip(self.names, self.peaks, strict=True)}
 
 
 def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
-    """The force on every solid whose impulse was recorded, floor and walls of the box included, averaged over `window`
-    [s] besides. Raises InputError where none was, or for a window beyond 0 to twice the run."""
+    """The force on every solid with a recorded impulse, including the box's floor and walls, also averaged over
+    `window` [s]. Raises InputError if none was recorded, or for a window outside 0 to twice the run."""
     scene, time, recorded = trajectory.scene, trajectory.time, dict[str, Floats]()
     if trajectory.solid_impulse is not None:
         recorded |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))
-    # What the summary holds of the sides of the box has a value at every `frame_dt` of the scene.
+    # The summary has values for the sides of the box at every `frame_dt` of the scene.
     frames = np.rint(time / scene.frame_dt).astype(int)
     recorded |= {name: np.array(series)[frames] for name, series in trajectory.summary.get("side_impulse", {}).items()}
     require(bool(recorded), "", "a trajectory that recorded the momentum solids took, this one did not")
     end = min(float(time[-1]), float(trajectory.summary.get("end_time") or time[-1]))
     require(end != 0.0, "", "a trajectory of more than its start")
     require(0.0 <= window <= 2.0 * end, "", f"a window of 0 to {2.0 * end:g} s", f"{window:g} s")
-    # A frame at the start ends no interval, and frames after the deposit has come to rest repeat that moment.
+    # A frame at the start ends no interval, and frames after the deposit came to rest repeat that moment.
     kept = slice(1 if time[0] == 0.0 else 0, int(np.searchsorted(time, end * (1.0 - ROUNDING))) + 1)
     ends = np.minimum(time[kept], end)
     edges = np.concatenate([[0.0], ends])
@@ -99,8 +99,8 @@ def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:
 
 
 def write_forces(trajectory: Trajectory, folder: Path, *, window: float = 0.0) -> Forces:
-    """Write forces.png and forces.csv, `time_s`, the end of an interval, and the mean force over it of each solid and
-    axis, into `folder`, and return the forces. Raises InputError as `forces_of`."""
+    """Write forces.png and forces.csv into `folder`, and return the forces. The CSV has `time_s`, the end of an
+    interval, and the mean force over it for each solid and axis. Raises InputError as `forces_of`."""
     forces = forces_of(trajectory, window=window)
     suffix, axes = forces.unit.replace("/", "_per_"), AXES[: forces.force.shape[2]]
     header = ["time_s", *(f"{name}_f{axis}_{suffix}" for name in forces.names for axis in axes)]
@@ -111,7 +111,7 @@ def write_forces(trajectory: Trajectory, folder: Path, *, window: float = 0.0) -
 
 
 def draw(path: Path, forces: Forces) -> None:
-    """Plot the components of the force on each solid over time, the peak of the magnitude marked with its time."""
+    """Plot the components of the force on each solid over time, and mark the peak of the magnitude."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter
 
@@ -140,7 +140,7 @@ def draw(path: Path, forces: Forces) -> None:
 
 
 def spoken(forces: Forces) -> list[str]:
-    """A line for each solid: its peak, when, and the momentum that it took."""
+    """A line for each solid: the peak force, its time, and the impulse."""
     lines = []
     for name, (value, time), impulse in zip(forces.names, forces.peaks, forces.impulse, strict=True):
         recorded, unit = ", ".join(f"{part:.4g}" for part in impulse), forces.unit.replace("N", "N s")
@@ -154,7 +154,7 @@ def command(trajectory: Path, /, *, out: Path, smooth: float = 0.0) -> None:
     Args:
         trajectory: A trajectory (NPZ), or the folder of a run that holds one.
         out: Folder for the results.
-        smooth: Time [s] over which forces are averaged besides the interval between two frames; 0 for none.
+        smooth: Time [s] over which forces are averaged in addition to the frame interval; 0 for none.
     """
     flow = read_trajectory(trajectory)
     make_folder(out)

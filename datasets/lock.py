@@ -1,7 +1,7 @@
 """One process at a time writes into a folder of results.
 
-The lock is the operating system's (flock, by `filelock`), which a process loses however it ends: that of a dead one is
-free. What stands in the file beside it is for people: who holds the folder.
+The lock is the operating system's (flock, by `filelock`), which is released however a process ends. The text in the
+file beside it tells users who holds the folder.
 """
 
 import errno
@@ -26,8 +26,8 @@ NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EINVAL}  # errors of file systems
 
 @contextmanager
 def locked(folder: Path) -> Iterator[Path]:
-    """Hold `folder`, made if need be, for this process; parts of files that a killed one left go first and last. Raises
-    WorkFailed, which says who, where another process holds it, and InputError as `make_folder`."""
+    """Lock `folder`, made if necessary, for this process; partial files of killed processes are removed first and last.
+    Raises WorkFailed, which names the holder, if another process holds it, and InputError as `make_folder`."""
     make_folder(folder)
     lock = FileLock(folder / LOCK)
     try:
@@ -49,9 +49,9 @@ def locked(folder: Path) -> Iterator[Path]:
         write_text(folder / HOLDER, who)
         yield folder
     finally:
-        remove_parts(folder)  # those of its own processes, too, that a signal has ended
+        remove_parts(folder)  # also those of its own processes that a signal has ended
         (folder / HOLDER).unlink(missing_ok=True)
-        # While it is held: who waits for it sees that the name is gone, and begins anew.
+        # Removed while it is held: a waiting process sees that the name is gone, and starts again.
         if lock.is_locked and isinstance(lock, UnixFileLock):
             (folder / LOCK).unlink(missing_ok=True)
         lock.release()

@@ -1,19 +1,19 @@
 """python -m datasets.maps TRAJECTORY --out DIR: a flow in 3D seen from above, as rasters, outlines and pictures.
 
-The maps are thickness of the deposit, largest depth and velocity, cell by cell, in the coordinates of the terrain's
-raster where the scene has one. The volume V_p of a particle is shared linearly between the cells around it, by the
-weights w of `datasets.scene.grid_field` at their middles; with A_c the area of a cell,
+The maps give the thickness of the deposit and the largest depth and velocity of each cell, in the coordinates of the
+terrain's raster if the scene has one. The volume V_p of a particle is shared linearly between the cells around it, by
+the weights w of `datasets.scene.grid_field` at the cell centres. With A_c the area of a cell,
 
     h_c = 1 / A_c  sum_p w_c(x_p) V_p,    v_c = | sum_p w_c(x_p) V_p v_p | / sum_p w_c(x_p) V_p
 
-So sum_c h_c A_c = sum_p V_p exactly. A layer whose particles lie a spacing apart is even where a cell is a whole number
-of spacings long. Thickness is measured along y, which is vertical on a terrain and normal to the floor of a box that is
-tilted (`slope_deg`), and of the volume at its initial density: what loosening adds is not counted. The velocity v_c is
-the mean over the depth. The thickness normal to the bed is h_c cos(slope), with the slope of the terrain.
+So sum_c h_c A_c = sum_p V_p exactly. A layer of evenly spaced particles has an even thickness if the cell is a whole
+number of spacings long. Thickness is measured along y, which is vertical on a terrain and normal to the floor of a
+tilted box (`slope_deg`). It uses the volume at the initial density, without dilation. The velocity v_c is the mean over
+the depth. The thickness normal to the bed is h_c cos(slope), with the slope of the terrain.
 
 Particles that cross several cells from one frame to the next would leave gaps in the largest values and steps in the
-times of arrival. So the maps also look between the frames, where a particle follows the cubic of its positions and
-velocities at both (Hermite).
+times of arrival. The maps therefore also evaluate moments between two frames, where a particle follows the cubic
+(Hermite) of its positions and velocities at both.
 """
 
 import math
@@ -49,14 +49,14 @@ KINDS = {
     "velocity": ("largest velocity of the flow", "m/s", "plasma"),
     "arrival": ("time of arrival", "s", "viridis"),
 }
-"""Attributes of `PlanMaps`, and the names of their files: what they show, its unit, colours of matplotlib."""
-BETWEEN = 8  # most moments that are looked at from one frame to the next: as many as fast particles cross cells
-FAST = 0.99  # quantile of the particles' displacements that counts as fast: a single grain does not decide
-COLOURS = 9  # of a map in QGIS
+"""Attribute of `PlanMaps` and name of its file -> title, unit, matplotlib colours."""
+BETWEEN = 8  # most moments evaluated from one frame to the next: as many as cells that fast particles cross
+FAST = 0.99  # quantile of the particles' displacements that counts as fast, so that no single grain decides
+COLOURS = 9  # number of colours of a map in QGIS
 OUTSIDE = 1.0e-6  # share of the box by which rounding may put a particle beyond a wall
-CLOSE = 1.0e-6  # how far beyond its edge a map falls to 0 [cells]
-WIDTH, HIGHEST = 9.0, 9.0  # of a picture [inches]
-CONTOURS = 12  # about as many contour lines of the ground
+CLOSE = 1.0e-6  # distance beyond its edge at which a map falls to 0 [cells]
+WIDTH, HIGHEST = 9.0, 9.0  # width and largest height of a picture [inches]
+CONTOURS = 12  # approximate number of contour lines of the ground
 
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int64]
@@ -64,21 +64,21 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class PlanMaps:
-    """What a flow came to, over the cells of a map: X along x and Z along z."""
+    """The maps of a flow, over X cells along x and Z along z."""
 
-    grid: Grid  # of the middles of the cells along x and z [m]
+    grid: Grid  # of the cell centres along x and z [m]
     thickness: Floats  # of the deposit in the last frame [m], shape [X, Z]
-    start: Floats | None  # the same at the start; None where that was not kept
+    start: Floats | None  # thickness at the start [m]; None if the trajectory does not hold it
     depth: Floats  # largest thickness at any time [m]
-    normal_depth: Floats  # the same normal to the terrain [m]
-    velocity: Floats | None  # largest [m/s] when there was more than the threshold; None where none is known
-    arrival: Floats  # time [s] at which there was more than the threshold for the first time; NaN where never
-    ground: Floats  # elevation of the highest solid, else of the floor of the box, in the middle of a cell [m]
+    normal_depth: Floats  # largest thickness normal to the terrain [m]
+    velocity: Floats | None  # largest velocity [m/s] at thicknesses above the threshold; None if none is known
+    arrival: Floats  # first time [s] at which the thickness exceeds the threshold; NaN if it never does
+    ground: Floats  # elevation of the highest solid, else of the floor of the box, at the cell centre [m]
     threshold: float  # thickness [m] above which a cell counts as covered
-    volume: float  # of the particles in the last frame [m^3]
-    left: float  # volume of those that are no longer in the box then
+    volume: float  # of the particles in the box in the last frame [m^3]
+    left: float  # volume of the particles that have left the box by then [m^3]
     corner: tuple[float, ...] = (0.0, 0.0)  # easting and northing of x = z = 0 [m]: x runs to the east, z to the north
-    crs: str | None = None  # of these, as an authority's code or in WKT; None of coordinates of the box
+    crs: str | None = None  # their reference system, as an authority's code or in WKT; None in box coordinates
 
     @property
     def cell(self) -> float:
@@ -87,10 +87,10 @@ class PlanMaps:
 
 
 def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = None, progress: bool = False) -> PlanMaps:
-    """The maps of `trajectory` over square cells of this edge [m]; the last may go beyond the box. threshold: [m],
-    above which a cell counts as covered; else a particle's spacing, at most half the least thickness released. Raises
-    InputError for one that is not positive, for a flow in 2D, and for cells finer than the particles or longer than a
-    side of the box."""
+    """The maps of `trajectory` over square cells of edge `cell` [m]; the last may extend beyond the box. threshold:
+    [m], above which a cell counts as covered; default: the particle spacing, at most half the least thickness released.
+    Raises InputError for a threshold that is not positive, for a flow in 2D, and for cells smaller than the particle
+    spacing or longer than a side of the box."""
     scene, fields, volumes = trajectory.scene, FlowFields(trajectory), trajectory.volumes
     if threshold is None:
         threshold = min(fields.spacing, 0.5 * min(least_thickness(mass) for mass in scene.masses))
@@ -134,9 +134,9 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
 def plan_sums(
     fields: FlowFields, limits: Floats, cell: float, sums: Floats, progress: bool
 ) -> Iterator[tuple[float, Integers, bool]]:
-    """Times [s], the cells that have something then, and whether velocities are known; `sums` as of `add_to_plan`.
-    Times are those of the frames and, where the flow crosses cells from one to the next, between."""
-    from datasets.flow.plan import add_to_plan  # compiled: who asks for help does not wait for the compiler
+    """Times [s], the cells that hold material then, and whether velocities are known; `sums` as of `add_to_plan`.
+    The times are those of the frames and, if the flow crosses several cells between two frames, times between them."""
+    from datasets.flow.plan import add_to_plan  # compiled on import, for which --help need not wait
 
     flow, touched, used = fields.trajectory, np.zeros(sums[..., 0].size, np.int64), 0
     begin, places, velocity = moment(fields, 0)
@@ -156,7 +156,7 @@ def plan_sums(
 
 
 def moment(fields: FlowFields, frame: int) -> tuple[float, Singles, Singles]:
-    """Time [s], positions [m], shape [N, 3], and velocities [m/s] of a frame, these [0, 3] if they are not known."""
+    """Time [s], positions [m] and velocities [m/s] of a frame, shape [N, 3]; unknown velocities have shape [0, 3]."""
     flow, velocity = fields.trajectory, fields.velocity(frame)
     known = np.zeros((0, 3)) if velocity is None else velocity
     positions, velocities = (np.ascontiguousarray(values, np.float32) for values in (flow.positions[frame], known))
@@ -164,7 +164,7 @@ def moment(fields: FlowFields, frame: int) -> tuple[float, Singles, Singles]:
 
 
 def least_thickness(mass: Mass) -> float:
-    """Of a layer where it is thinnest, of another body its height [m]."""
+    """Smallest thickness of a layer, or the height of another body [m]."""
     if mass.kind != "layer":
         return mass.size[1]
     given = np.array(mass.thickness)
@@ -172,8 +172,8 @@ def least_thickness(mass: Mass) -> float:
 
 
 def ground(scene: Scene, grid: Grid) -> Floats:
-    """Elevation of the highest solid at the place of each cell [m], the floor's, 0, where there is none; as the maps.
-    Of cells that go beyond the box that at the nearest place in it."""
+    """Elevation of the highest solid at each cell of the maps [m]; 0, the floor's, where there is none. A cell beyond
+    the box takes the elevation of the nearest place inside."""
     plan = np.minimum(grid.positions, scene.domain.size[::2])
     if not scene.baffles and all(solid.kind == "terrain" for solid in scene.solids):
         return elevation(scene.solids, scene.domain, plan).reshape(grid.nodes)
@@ -183,16 +183,16 @@ def ground(scene: Scene, grid: Grid) -> Floats:
 
 
 def map_corner(scene: Scene) -> tuple[tuple[float, ...], str | None]:
-    """Easting and northing of x = z = 0 [m] and their reference system: the box's, else those of a terrain's raster."""
+    """Easting and northing of x = z = 0 [m] and their reference system: of a terrain's raster, else of the box."""
     corners = ((solid.corner, solid.crs) for solid in scene.solids if solid.corner is not None)
     east, _, north = scene.domain.corner.tolist()
     return next(corners, ((east, north), scene.domain.crs))
 
 
 def require_same_place(one: Scene, other: Scene, whose: str = "the other") -> None:
-    """Raise InputError where the box of `other` does not lie at the place on the map where that of `one` does.
+    """Raise InputError unless the boxes of `one` and `other` have the same place on the map.
 
-    whose: what the message calls the first.
+    whose: the name of `one` in the message.
     """
     places = [scene.domain.corner.tolist() for scene in (one, other)]
     for scene, place in zip((one, other), places, strict=True):
@@ -202,8 +202,8 @@ def require_same_place(one: Scene, other: Scene, whose: str = "the other") -> No
 
 
 def region_above(grid: Grid, values: Floats, threshold: float, corner: Sequence[float] = (0.0, 0.0)) -> MultiPolygon:
-    """Polygons with holes where `values` [X, Z], linear between the middles of cells and even in the outer half of the
-    last, exceed a threshold; `corner` [m] added. Outer rings run anticlockwise, holes clockwise."""
+    """Polygons with holes where `values` [X, Z] exceed a threshold, with `corner` [m] added. Values are linear between
+    cell centres and constant in the outer half of edge cells. Outer rings run anticlockwise, holes clockwise."""
     from contourpy import FillType, contour_generator
 
     padded = np.pad(np.pad(values, 1, mode="edge"), 1)
@@ -225,14 +225,14 @@ def write_outlines(path: Path, maps: PlanMaps, outlines: dict[tuple[str, float],
     shapes = [*outlines.values()]
     columns = {"name": names, "threshold_m": thresholds, "area_m2": shapely.area(shapes)}
     with warnings.catch_warnings(), replacing(path) as part:
-        # A box in its own coordinates has no reference system, which is no mistake.
+        # A box in its own coordinates has no reference system; that is no error.
         warnings.simplefilter("ignore")
         options = {"driver": "GeoJSON", "layer": path.stem, "geometry_type": "MultiPolygon", "crs": maps.crs}
         pyogrio.raw.write(part, shapely.to_wkb(shapes), [*map(np.array, columns.values())], [*columns], **options)
 
 
 def style(colours: str, most: float, unit: str) -> str:
-    """The colours of a map from 0 to its largest value as a style of QGIS, which takes it from beside the raster."""
+    """The colours of a map from 0 to its largest value, as a QGIS style, which QGIS reads from beside the raster."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
@@ -248,7 +248,7 @@ def style(colours: str, most: float, unit: str) -> str:
 
 
 def draw_maps(path: Path, maps: PlanMaps) -> None:
-    """All maps where they are covered, one above the other; over the ground, with the outline of the deposit."""
+    """Draw the covered cells of all maps, one map above the other, over the ground, with the deposit's outline."""
     from matplotlib.figure import Figure
 
     kinds = {name: kind for name, kind in KINDS.items() if getattr(maps, name) is not None}
@@ -272,8 +272,8 @@ def draw_maps(path: Path, maps: PlanMaps) -> None:
 
 
 def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequence[float] = ()) -> dict[str, Any]:
-    """Write the maps of a trajectory into `folder`, and maps.json, what they come to, which is returned. thresholds:
-    [m], of outlines beside that of the maps. Raises WorkFailed."""
+    """Write the maps of a trajectory into `folder`, and their summary as maps.json, which is returned. thresholds: [m],
+    of outlines in addition to that of the maps. Raises WorkFailed."""
     from datasets.exchange.rasters import write_raster
 
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
@@ -294,7 +294,7 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequ
             write_text(folder / f"{name}.qml", style(colours, most[name] or 1.0, unit))
     draw_maps(folder / "maps.png", maps)
     write_outlines(folder / "outline.geojson", maps, outlines)
-    # Single particles that rolled on are islands of their own.
+    # The extent is that of the largest polygon: single particles that rolled on form islands.
     largest = max(outlines["deposit", maps.threshold].geoms, key=lambda polygon: polygon.area, default=None)
     said = {
         "time": float(trajectory.time[-1]),
@@ -313,14 +313,14 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequ
 
 
 def command(trajectory: Path, /, *, out: Path, cell: float | None = None, threshold: tuple[float, ...] = ()) -> None:
-    """Write what a flow left, seen from above: thickness, largest depth and velocity, arrival, outlines.
+    """Write maps of a flow: deposit thickness, largest depth and velocity, time of arrival, outlines.
 
     Args:
         trajectory: A trajectory (NPZ) in 3D, or the folder of a run that holds one.
         out: Folder for the results.
-        cell: Edge of a cell of the maps [m]; that of the scene's grid unless given.
-        threshold: Thickness [m] above which the ground counts as covered; unless given the spacing of the particles, at
-            most half the least thickness released. Given several times, each has its outlines, and the maps the first.
+        cell: Edge of a cell of the maps [m]; default: that of the scene's grid.
+        threshold: Thickness [m] above which the ground counts as covered; default: the particle spacing, at most half
+            the least thickness released. If given several times, each gets outlines, and the maps use the first.
     """
     flow = open_trajectory(trajectory_file(trajectory), "velocities", sound=True)
     require(all(level > 0.0 for level in threshold), "--threshold", "thicknesses above 0 m", list(threshold))

@@ -1,4 +1,4 @@
-"""Memory: what is free, one line where more is asked for, and freed memory given back."""
+"""Memory: the free amount, an error in one line if more is needed, and the return of freed memory."""
 
 import ctypes
 from collections.abc import Callable
@@ -11,16 +11,16 @@ import psutil
 from datasets.errors import InputError
 
 GROUP = Path("/sys/fs/cgroup")  # of a container under Linux, whose limit may be below what the machine has
-USABLE = 0.9  # part of the free memory that is given away
+USABLE = 0.9  # usable share of the free memory
 TRIM_EVERY = 16
-"""Calls between two trims of `trimming`: more often they take time, more rarely they leave twice the memory."""
+"""Calls between two trims of `trimming`: more frequent ones cost time, less frequent ones leave twice the memory."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 def free() -> int:
-    """Memory that this process may still take [bytes]: what the machine, its container and its own limit leave."""
+    """Memory that this process may still use [bytes], within the limits of machine, container and process."""
     limits: list[int] = [psutil.virtual_memory().available]
     with suppress(OSError, ValueError):  # no container, or one without a limit
         most, used = (int((GROUP / f"memory.{name}").read_text()) for name in ("max", "current"))
@@ -34,7 +34,7 @@ def free() -> int:
 
 
 def require(size: float, what: str, instead: str, *, key: str = "") -> None:
-    """Raise InputError where `size` [bytes] is more than is free: the number, what it is for, what to change."""
+    """Raise InputError, with the purpose `what` and the remedy `instead`, if `size` [bytes] exceeds the free memory."""
     room = USABLE * free()
     if not size <= room:
         expected = f"expected {what} in the {spoken(room)} of memory that are free"
@@ -42,7 +42,7 @@ def require(size: float, what: str, instead: str, *, key: str = "") -> None:
 
 
 def spoken(size: float) -> str:
-    """A size in the unit in which it is short: `350 MiB`, `1.2 TiB`."""
+    """A size with a suitable unit: `350 MiB`, `1.2 TiB`."""
     for unit in ("B", "KiB", "MiB", "GiB", "TiB"):
         if size < 1000:
             return f"{size:.3g} {unit}"
@@ -51,7 +51,7 @@ def spoken(size: float) -> str:
 
 
 def trimming(step: Callable[P, R]) -> Callable[P, R]:
-    """`step`, with what glibc keeps of freed memory returned to the system after every `TRIM_EVERY` calls."""
+    """`step`, which returns freed memory that glibc keeps to the system after every `TRIM_EVERY` calls."""
     try:
         trim = ctypes.CDLL(None).malloc_trim
     except (AttributeError, OSError, TypeError):

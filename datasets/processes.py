@@ -1,4 +1,4 @@
-"""Processes: how many run at a time, how they are stopped, and that none outlives the one that started it."""
+"""Processes: their number, how they are stopped, and how they end with the process that started them."""
 
 import ctypes
 import os
@@ -17,16 +17,16 @@ import psutil
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 REPEAT = 1.0
-"""A signal more than this [s] after the first is a second one; before, it is the same, which torchrun hands on."""
+"""A signal later than this [s] after the first is a second one; earlier, it is the same one, repeated by torchrun."""
 PR_SET_PDEATHSIG = 1  # of Linux's prctl(2): the signal that a process gets when its parent ends
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM, which ends a command as Ctrl-C does."""
+    """SIGTERM, which ends a command like Ctrl-C."""
 
 
 class Stop:
-    """Whether to stop: once one of SIGNALS has come. A second one, or one within `at_once`, is a KeyboardInterrupt."""
+    """True once one of SIGNALS has arrived. A second one, or one within `at_once`, raises KeyboardInterrupt."""
 
     def __init__(self) -> None:
         self.signal: signal.Signals | None = None
@@ -43,7 +43,7 @@ class Stop:
 
     @property
     def interrupt(self) -> KeyboardInterrupt:
-        """What to raise for the signal."""
+        """The exception for the signal."""
         return Terminated() if self.signal == signal.SIGTERM else KeyboardInterrupt()
 
     def record(self, number: int, _: FrameType | None) -> None:
@@ -56,7 +56,7 @@ class Stop:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """A block that may be broken off anywhere: what it would lose is saved."""
+        """A block that may be interrupted anywhere, because nothing in it can be lost."""
         if self():
             raise self.interrupt
         self.breaks = True
@@ -68,7 +68,7 @@ class Stop:
 
 @contextmanager
 def stopping() -> Iterator[Stop]:
-    """While this lasts, a first Ctrl-C or SIGTERM is kept as a wish to stop, so that work ends where it is whole."""
+    """In this context, a first Ctrl-C or SIGTERM only requests a stop, so that work ends at a consistent point."""
     stop = Stop()
     former = {number: signal.signal(number, stop.record) for number in SIGNALS}
     try:
@@ -80,7 +80,7 @@ def stopping() -> Iterator[Stop]:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """While this lasts, SIGTERM raises Terminated, unless somebody else handles it or this is not the main thread."""
+    """In this context, SIGTERM raises Terminated, unless it has another handler or this is not the main thread."""
 
     def terminate(number: int, _: FrameType | None) -> None:
         raise Terminated
@@ -96,14 +96,14 @@ def terminable() -> Iterator[None]:
 
 
 def processors() -> int:
-    """Processors that this process may use."""
+    """Number of processors that this process may use."""
     process = psutil.Process()
     return len(process.cpu_affinity()) if hasattr(process, "cpu_affinity") else psutil.cpu_count() or 1
 
 
 def end_with_parent() -> None:
-    """End this process at once when the process that started it has ended, even by SIGKILL. On Linux by the kernel;
-    where multiprocessing started it, by a thread that watches the pipe to the parent, too."""
+    """End this process as soon as its parent has ended, even by SIGKILL. On Linux the kernel does so; if
+    multiprocessing started it, a thread also watches the pipe to the parent."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     parent = parent_process()
@@ -113,8 +113,8 @@ def end_with_parent() -> None:
 
 @contextmanager
 def without_main() -> Iterator[None]:
-    """While this lasts, processes that start do not run the user's script again: it needs no guard. A module started by
-    `python -m` has one; there processes find the functions that it gives them."""
+    """In this context, started processes do not run the user's script again, so that it needs no guard. A module
+    started by `python -m` has a guard, and processes find its functions there."""
     main: Any = sys.modules["__main__"]
     file = getattr(main, "__file__", None) if getattr(main, "__spec__", None) is None else None
     if file is not None:

@@ -1,6 +1,6 @@
-"""Tables of TOML or JSON into frozen dataclasses: an unknown key, a wrong type or a number out of bounds is one error.
+"""Converts tables of TOML or JSON into frozen dataclasses: an unknown key, a wrong type or a number out of bounds gives
 
-pydantic checks keys and types of a file. A record checks types and bounds itself too, since Python makes them as well.
+one error. pydantic checks keys and types of a file. A record also checks itself, for records made in Python.
 """
 
 import difflib
@@ -20,16 +20,16 @@ from datasets.files import line_of
 
 T = TypeVar("T")
 UNSEEN = ("float", "str", "constants")
-"""Parts of an error's path that a file does not have: types of a key that takes either, where keys are gathered."""
-FEW_KEYS = 12  # keys of a table that are listed where an unknown one is refused
-SHORT = 3  # numbers of a vector that are shown where one of them is out of bounds: those of a place
+"""Parts of an error's path that are not in the file: alternative types of a key, and gathered keys."""
+FEW_KEYS = 12  # most keys of a table that the refusal of an unknown key lists
+SHORT = 3  # longest vector shown whole if one number is out of bounds: that of a place
 FARTHEST = 1.0e9
-"""Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
+"""Largest length [m], time [s], speed [m/s] and coefficient; it keeps their powers finite."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a number, or each of a vector, may be, in words and as pydantic names it; stands beside the type of a key.
+    """Bounds of a number, or of each in a vector, in words and in pydantic's terms; annotates the type of a key.
     jitter: Annotated[float, Bounds("a fraction in [0, 1]", ge=0.0, le=1.0)] = 0.8"""
 
     expected: str
@@ -38,10 +38,10 @@ class Bounds:
     lt: float = math.inf
     le: float = FARTHEST
     words: tuple[str, ...] = ()
-    """What may stand in place of a number."""
+    """Words allowed instead of a number."""
 
     def hold(self, value: Any) -> bool:
-        """Whether a value, where there is one, is within them."""
+        """Whether a value, if given, is within the bounds."""
         if isinstance(value, tuple):
             return all(map(self.hold, value))
         if isinstance(value, str):
@@ -49,7 +49,7 @@ class Bounds:
         return value is None or (self.gt < value < self.lt and self.ge <= value <= self.le)
 
     def first_beyond(self, value: Any) -> Any:
-        """What of a value is not within them: the whole of a short vector, of more numbers the first such one."""
+        """The part of a value outside the bounds: a short vector as a whole, else the first such number."""
         if not isinstance(value, tuple):
             return value
         part = next(part for part in value if not self.hold(part))
@@ -58,14 +58,14 @@ class Bounds:
 
 @cache
 def types_of(kind: type) -> tuple[list[str], TypeAdapter[tuple[Any, ...]]]:
-    """The keys of a dataclass, and what checks a tuple of their values."""
+    """The keys of a dataclass, and the checker of a tuple of their values."""
     hints, names = get_type_hints(kind, include_extras=True), [member.name for member in fields(kind)]
     values: Any = tuple.__class_getitem__(tuple(hints[name] for name in names))
     return names, TypeAdapter(values, config=ConfigDict(strict=True))
 
 
 def plain(value: Any) -> Any:
-    """Numbers and arrays of numpy as Python's, lists and arrays as tuples, at any depth."""
+    """NumPy numbers and arrays as Python's, lists and arrays as tuples, at any depth."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, dict):
@@ -75,7 +75,7 @@ def plain(value: Any) -> Any:
 
 @cache
 def bounds_of(kind: type) -> dict[str, Bounds]:
-    """The bounds that stand beside the types of a dataclass, by key."""
+    """Key -> the bounds that annotate its type in a dataclass."""
 
     def within(hint: Any) -> Iterator[Bounds]:
         yield from (item for item in getattr(hint, "__metadata__", ()) if isinstance(item, Bounds))
@@ -86,13 +86,13 @@ def bounds_of(kind: type) -> dict[str, Bounds]:
 
 
 def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a dataclass by key, as Python's own. Raises InputError for one of another type."""
+    """Key -> value of a dataclass, as Python's own types. Raises InputError for a value of another type."""
     keys, types = types_of(kind)
     values = tuple(given[key] for key in keys)
     try:
         return dict(zip(keys, types.validate_python(values), strict=True))
     except ValidationError:
-        values = plain(values)  # few are of numpy, and large tables take long to walk through
+        values = plain(values)  # few are NumPy's, and large tables take long to walk through
     try:
         return dict(zip(keys, types.validate_python(values), strict=True))
     except ValidationError as error:
@@ -100,14 +100,14 @@ def typed(kind: type, given: Mapping[str, Any]) -> dict[str, Any]:
         key, *inside = mistake["loc"]
         key = keys[int(key)]
         bounds = bounds_of(kind).get(key)
-        # Of what may also be a word pydantic says but one part.
+        # For a key that may also be a word, pydantic's message covers only one alternative.
         said = bounds.expected if bounds is not None and bounds.words else mistake["msg"]
         raise wrong({**mistake, "msg": said, "loc": (key, *inside)}) from None
 
 
 class Record:
-    """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan. One that
-    Python makes takes numbers and arrays of numpy too, and inf where no bounds forbid it."""
+    """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan. A record
+    made in Python also accepts NumPy numbers and arrays, and inf unless bounds forbid it."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -123,7 +123,7 @@ class Record:
                 raise InputError(f"expected {bounds.expected}, got {said}", key=key)
 
 
-# Building one costs a hundred times as much as a validation with it.
+# Building an adapter costs a hundred times as much as a validation with it.
 _adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 
 
@@ -131,10 +131,10 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     """Build the dataclass `kind` from nested mappings; an integer may stand for a float. Raises InputError with the
     path of the first wrong key, such as `masses[1].velocity`; OutOfRange where keys and types are right."""
     try:
-        # JSON mode converts nothing either, but still takes an array for a tuple.
+        # JSON mode converts nothing either, but still accepts an array for a tuple.
         text = json.dumps(data, default=str)
     except (ValueError, RecursionError) as error:
-        # Of thousands of digits, or tables in tables.
+        # Numbers of thousands of digits, or deeply nested tables.
         raise InputError(f"expected tables of finite numbers, {line_of(error)}") from None
     adapter = _adapter(kind)
     try:
@@ -151,16 +151,16 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
 
 
 def seen(mistake: Mapping[str, Any]) -> str:
-    """The path of what pydantic found, as a file has it."""
-    # Where a key takes one of several types, pydantic names the type that it tried last.
+    """The path of pydantic's error, as in the file."""
+    # If a key accepts several types, pydantic names the type that it tried last.
     return dotted(tuple(part for part in mistake["loc"] if part not in UNSEEN and "[" not in str(part)))
 
 
 def wrong(mistake: Mapping[str, Any]) -> InputError:
-    """What pydantic found of a value."""
+    """The InputError for pydantic's error."""
     path, cause = seen(mistake), mistake.get("ctx", {}).get("error")
     if isinstance(cause, InputError):
-        # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.
+        # The check of a part uses its own keys: `material.density` inside `masses[0].material`.
         key = cause.key.removeprefix(path.split(".")[-1] + ".") if path else cause.key
         return OutOfRange(cause.message, key=".".join(part for part in (path, key) if part))
     if mistake["type"] == "missing":
@@ -170,19 +170,19 @@ def wrong(mistake: Mapping[str, Any]) -> InputError:
 
 
 def keys_of(schema: dict[str, Any], place: Sequence[int | str]) -> tuple[list[str], list[str]]:
-    """The keys of the table at a place, and those of all tables, by the JSON schema of a record."""
+    """The keys of the table at a place, and those of all tables, from the JSON schema of a record."""
     tables: dict[str, Any] = schema.get("$defs", {})
     here, everywhere = schema, [key for each in (schema, *tables.values()) for key in each.get("properties", {})]
     for part in place:
         here = here.get("properties", {}).get(part, {}) if isinstance(part, str) else here.get("items", {})
-        # An optional table stands beside null.
+        # An optional table is an alternative to null.
         here = next((each for each in here.get("anyOf", ()) if each.get("type") != "null"), here)
         here = tables.get(str(here.get("$ref")).rsplit("/", 1)[-1], here)
     return [*here.get("properties", {})] or everywhere, everywhere
 
 
 def unknown_key(name: str, names: Sequence[str], elsewhere: Sequence[str] = ()) -> str:
-    """What is expected in place of a key that is none of the known ones, but perhaps one of another table."""
+    """The message for an unknown key, which may belong in another table."""
     if name in elsewhere:
         return "expected a known key, this one belongs in another table"
     near = difflib.get_close_matches(name, names, n=1)
@@ -192,11 +192,11 @@ def unknown_key(name: str, names: Sequence[str], elsewhere: Sequence[str] = ()) 
 
 
 def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
-    """What reads a table with the key `kind` into the record of this kind: a union by `kind`.
+    """The validator that reads a table into the record of its key `kind`: a union by `kind`.
 
     >>> observations: tuple[Annotated[ObservationSettings, one_of(KINDS)], ...]
 
-    A key of another kind is an error that says of which.
+    For a key of another kind, the error names that kind.
     """
 
     def read(table: Any) -> T:
@@ -220,13 +220,13 @@ def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
 
 
 def changed(record: Record) -> dict[str, Any]:
-    """The keys of a record, and of those in it, that are not at their defaults, as `from_mapping` takes them."""
+    """The keys of a record, and of nested records, that differ from their defaults, as `from_mapping` accepts them."""
     kind: Any = type(record)
     return dict(_adapter(kind).dump_python(record, exclude_defaults=True, warnings=False))
 
 
 def fraction(text: str) -> float:
-    """`2%` or `0.02` as a number, 0.02; nan for what is neither."""
+    """`2%` or `0.02` as a number, 0.02; nan for other text."""
     number = text.strip()
     try:
         return float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)

@@ -1,11 +1,11 @@
 """python -m datasets.site DEM --release FILE --out site.toml: a scene in map coordinates from a raster and a release.
 
-The box holds every place that the energy line reaches from the release, and some ground around: what is connected
-with the release and lies below
+The box contains all ground that the energy line reaches from the release, and a margin around it. The line reaches
+ground that is connected with the release and lies below
 
     z_0 - REACH mu s,    z_0: the top of the release, s: level distance from it
 
-A thickness T normal to the bed is T / cos(slope) along the vertical, cell by cell of the raster.
+A thickness T normal to the bed is T / cos(slope) along the vertical, for each cell of the raster.
 """
 
 import math
@@ -36,17 +36,17 @@ if TYPE_CHECKING:  # GDAL and SciPy take half a second to import: --help needs n
     from datasets.exchange.vectors import Feature
 
 REACH = 0.75
-"""Slope of the energy line that bounds the box over the coefficient of friction: fronts run beyond a block's place."""
+"""Slope of the energy line that bounds the box, over the friction coefficient: fronts outrun a sliding block."""
 HOLELESS = ".dem.tif"  # ending of the raster with its holes filled, beside the scene
-THICKNESS = ("thickness", "d0")  # attributes of a polygon that may say how thick it is [m]
+THICKNESS = ("thickness", "d0")  # attributes of a polygon that may give its thickness [m]
 PARTICLES, COLUMNS = 3.0e5, 1.0e7
-"""Of the release, and of nodes in the box, at most about, where no cell is given: minutes on two processors."""
-ACROSS = 2.0  # cells over the thickness of the release, where the box allows it
-AROUND = 4  # cells of ground around what is reached
-OVERLAP = 1.0e-3  # share of the area of a release that two polygons have in common, from which on it is said
+"""Approximate limits for the default cell: particles of the release, columns of the box; minutes on two processors."""
+ACROSS = 2.0  # cells over the thickness of the release, if the box allows it
+AROUND = 4  # cells of ground around the reached ground
+OVERLAP = 1.0e-3  # share of the release's area in more than one polygon, above which a warning says so
 WITHIN = 0.5 - 1.0e-6  # half a cell of the raster, less what rounding adds to a polygon along its edge
-TRAVEL = 4.0  # simulated time over that in which the largest speed reaches the end of the box
-FRAMES = 100  # at least so many
+TRAVEL = 4.0  # simulated time over the time to cross the box at the largest speed
+FRAMES = 100  # smallest number of frames
 
 
 def site(
@@ -60,9 +60,9 @@ def site(
     cell: float | None,
     internal_friction: float = 30.0,
 ) -> dict[str, Any]:
-    """The tables of a scene file without its terrain's path and its times; lengths in m on the map. thickness: of all
-    polygons, in a raster's cells, or None: as each polygon says; bed: its `friction`, perhaps `turbulence`; slope: of
-    the energy line. Raises InputError for a release beside the raster or without thickness."""
+    """The tables of a scene file without its terrain's path and its times; lengths in m, in map coordinates. thickness:
+    one for all polygons, a raster, or None for that of each polygon; bed: its `friction`, perhaps `turbulence`; slope:
+    of the energy line. Raises InputError for a release outside the raster or without thickness."""
     given, field = (thickness, None) if isinstance(thickness, float) else (None, thickness)
     thick = [float(np.nanmax(field.values)) if field else thickness_of(feature, given) for feature in release]
     covered = np.zeros(raster.values.shape, bool)
@@ -76,7 +76,7 @@ def site(
             top = max(top, float(raster.values[inside].max()) + 2.0 * depth)
     twice = sum(feature.polygon.area for feature in release) - taken.area
     if twice > OVERLAP * taken.area:
-        said = f"polygons of the release share {twice:.3g} m^2, which count once, by the first of them"
+        said = f"polygons of the release share {twice:.3g} m^2, which count once, for the first polygon"
         warnings.warn(said, stacklevel=2)
     steep = 0.0
     if "turbulence" in bed:
@@ -92,7 +92,7 @@ def site(
     lower[::2], upper[::2] = np.minimum(lower[::2], taken.bounds[:2]), np.maximum(upper[::2], taken.bounds[2:])
     volume = float(covered.sum()) * math.prod(raster.spacing) * max(thick)
     plan = float(np.prod((upper - lower)[::2]))
-    # A layer thinner than a particle's place is one particle thick.
+    # A layer thinner than the particle spacing is one particle thick.
     few = 2.0 * max((volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(taken.area / PARTICLES))
     wanted = min(max(thick), math.sqrt(taken.area)) / ACROSS
     edge = cell or round_up(max(wanted, few, math.sqrt(plan / COLUMNS)))
@@ -116,7 +116,7 @@ def site(
 
 
 def thickness_of(feature: "Feature", given: float | None) -> float:
-    """Thickness of a polygon [m]: the given one, else that of its attribute. Raises InputError."""
+    """Thickness of a polygon [m]: the given one, else its attribute. Raises InputError."""
     attribute = next((feature.attributes[name] for name in THICKNESS if name in feature.attributes), None)
     try:
         value = given if given is not None else float("nan" if attribute is None else attribute)
@@ -128,7 +128,7 @@ def thickness_of(feature: "Feature", given: float | None) -> float:
 
 
 def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
-    """Polygons as parts side by side without holes: cut to the north and south through each hole."""
+    """Polygons cut into adjacent parts without holes, along a north-south line through each hole."""
     parts = []
     for polygon in shapely.get_parts(shape):
         if polygon.area > 0.0 and polygon.interiors:
@@ -144,8 +144,8 @@ def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
 def layer(
     raster: "Raster", polygon: shapely.Polygon, thickness: "float | Raster", vertical: bool
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
-    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster whose cells it meets. thickness: [m], a
-    number, or a raster in whose cells the mass then has it."""
+    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster whose cells it intersects. thickness:
+    [m], a number, or a raster, whose cells the mass then takes over."""
     box = polygon.bounds
     for axis, spacing, low, high in zip((raster.x, raster.z), raster.spacing, box[:2], box[2:], strict=True):
         within = axis[0] - 0.5 * spacing <= low and high <= axis[-1] + 0.5 * spacing
@@ -174,7 +174,7 @@ def layer(
 
 
 def beside(raster: "Raster", polygon: shapely.Polygon) -> tuple[slice, slice]:
-    """Which posts of a raster along x and z lie in the box around a polygon or within a cell of it."""
+    """The posts of a raster, along x and z, that lie in the box around a polygon or within a cell of it."""
     ends = zip((raster.x, raster.z), raster.spacing, polygon.bounds[:2], polygon.bounds[2:], strict=True)
     first, second = (
         slice(int(np.searchsorted(axis, low - step)), int(np.searchsorted(axis, high + step, side="right")))
@@ -185,7 +185,7 @@ def beside(raster: "Raster", polygon: shapely.Polygon) -> tuple[slice, slice]:
 
 def steepness(raster: "Raster", x: Floats, z: Floats) -> Floats:
     """1 / cos(slope) at places x, z [m], shape [X, Z]: central differences at the posts, one-sided beside holes and at
-    the edge, linear between; in holes that of the nearest post."""
+    the edge, linear between posts; in holes, the value of the nearest post."""
     from scipy.ndimage import map_coordinates
 
     slopes = [slope_along(raster.values, axis, spacing) for axis, spacing in enumerate(raster.spacing)]
@@ -196,7 +196,7 @@ def steepness(raster: "Raster", x: Floats, z: Floats) -> Floats:
 
 
 def slope_along(values: Floats, axis: int, spacing: float) -> Floats:
-    """Mean of the slopes to the two neighbours of a post along an axis, [X, Z]: of those that there are, else 0."""
+    """Mean of the slopes to the existing neighbours of each post along an axis, 0 without neighbours, shape [X, Z]."""
     none = np.full_like(np.take(values, [0], axis), np.nan)
     slope = np.diff(values, axis=axis) / spacing
     both = np.stack([np.concatenate([none, slope], axis), np.concatenate([slope, none], axis)])
@@ -218,7 +218,7 @@ def reached(raster: "Raster", release: NDArray[np.bool_], top: float, slope: flo
 
 
 def without_holes(raster: "Raster", domain: dict[str, Any]) -> Floats | None:
-    """The values [X, Z] with those of the nearest posts in holes; None where no hole lies in the box of a scene."""
+    """The values [X, Z] with holes filled from the nearest posts; None if no hole lies in the box of the scene."""
     sides = zip((raster.x, raster.z), raster.spacing, domain["origin"][::2], domain["size"][::2], strict=True)
     within = [(axis > low - step) & (axis < low + length + step) for axis, step, low, length in sides]
     holes = np.isnan(raster.values) & np.logical_and.outer(*within)
@@ -226,20 +226,20 @@ def without_holes(raster: "Raster", domain: dict[str, Any]) -> Floats | None:
 
 
 def round_up(length: float) -> float:
-    """The next length of two digits [m]."""
+    """The length [m] rounded up to two digits."""
     unit = 10.0 ** (math.floor(math.log10(length)) - 1)
     return float(f"{math.ceil(length / unit - 1.0e-9) * unit:.6g}")
 
 
 def least_of(given: float | Path, flag: str, expected: str, *, zero: bool) -> float:
-    """The least of a coefficient, or of a raster of it. Raises InputError below 0, and at 0 unless that is admitted."""
+    """A coefficient, or the smallest value of its raster. Raises InputError below 0, and at 0 unless `zero` is set."""
     from datasets.exchange.rasters import read_raster
 
     if not isinstance(given, Path):
         require(0.0 <= given < math.inf and (zero or given > 0.0), flag, expected, given)
         return given
     with naming(given, flag), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what is to be said of the file is said where the scene reads it
+        warnings.simplefilter("ignore")  # the scene warns when it reads the file
         least = float(np.nanmin(read_raster(given, coefficients=True).values))
         require(least > 0.0 or (zero and least == 0.0), "", expected, least)
     return least
@@ -261,15 +261,15 @@ def command(
     """Write a scene in map coordinates from a raster of elevations and the polygons of a release.
 
     Args:
-        dem: Raster (ESRI ASCII, GeoTIFF and others) of elevations [m], in a projected coordinate system or none.
-        release: Polygons: shapefile, GeoPackage, GeoJSON or KML.
+        dem: Raster of elevations [m] (ESRI ASCII, GeoTIFF and others), in a projected coordinate system or none.
+        release: Release polygons: shapefile, GeoPackage, GeoJSON or KML.
         out: The scene to write (TOML).
-        thickness: Of the release [m], or a raster of it; else the attribute `thickness` or `d0` of each polygon.
-        vertical: Whether the thickness is measured along the vertical; else normal to the ground.
-        friction: Coulomb coefficient of the ground, or a raster of it.
-        turbulence: Voellmy's turbulent coefficient of the ground [m/s^2], or a raster of it; none unless given.
+        thickness: Thickness of the release [m], or a raster of it; default: attribute `thickness` or `d0` of a polygon.
+        vertical: Whether the thickness is measured along the vertical; default: normal to the ground.
+        friction: Coulomb friction coefficient of the ground, or a raster of it.
+        turbulence: Voellmy's turbulent coefficient of the ground [m/s^2], or a raster of it; default: none.
         internal_friction: Angle of internal friction of the material [deg].
-        cell: Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
+        cell: Edge of a grid cell [m]; default: half of the thickness, or more if the box is large.
     """
     from datasets.exchange.rasters import read_raster, same_system, write_raster
     from datasets.exchange.vectors import LAYER, read_polygons

@@ -1,9 +1,9 @@
-"""Inverse analysis: from where a flow came to rest to the parameters that put it there.
+"""Inverse analysis: from the deposit of a flow to the parameters that caused it.
 
     from inverse import invert, read_problem
 
     result = invert(read_problem("friction-tall-42"))
-    print(result.unknowns, result.interval)  # by the surrogate alone; the truth of this twin experiment is 42 degrees
+    print(result.unknowns, result.interval)  # from the surrogate alone; the truth of this twin experiment is 42 degrees
 
 A problem is a TOML file (docs/formats.md) or a `Problem` built in Python; its unknowns are numbers or fields.
 """

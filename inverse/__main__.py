@@ -1,4 +1,4 @@
-"""`python -m inverse PROBLEM --out DIR`: one inversion by one forward model, and what it cost."""
+"""`python -m inverse PROBLEM --out DIR`: one inversion with one forward model, and its cost."""
 
 import sys
 from pathlib import Path
@@ -8,19 +8,19 @@ from inverse.settings import ForwardModel
 
 
 def main(problem: str, /, *, out: Path, forward: ForwardModel | None = None, model: Path | None = None) -> None:
-    """Find the unknowns of PROBLEM; leaves OUT/result.json, OUT/report.md and pictures.
+    """Find the unknowns of PROBLEM, and write OUT/result.json, OUT/report.md and pictures.
 
-    Numbers are found by one forward model alone, so the verdict is "unconfirmed"; `python -m validation.loop` checks
-    the answer by the MPM. Fields are found by the MPM's adjoint, and checked by a run of it.
+    Unknown numbers are found with one forward model, so the verdict is "unconfirmed"; `python -m validation.loop`
+    checks the answer by the MPM. Unknown fields are found with the MPM's adjoint and checked by an MPM run.
 
     Args:
         problem: Path of a problem in TOML, or the name of a shipped one.
         out: Folder for the results.
-        forward: What predicts the observation: the surrogate, unless the problem asks for none; the MPM, by an emulator
+        forward: The forward model: the surrogate (default, unless the problem says "none"); the MPM through an emulator
             of its runs; or the MPM with the gradient of its adjoint.
-        model: Weights of the surrogate; unless given, those that ship for 2D or for 3D.
+        model: Weights of the surrogate; by default, the weights that ship for 2D or 3D.
     """
-    # Imported here: torch takes seconds to load, and help has no use for it, nor a wrong problem for the solver.
+    # Imported here: torch takes seconds to load, and neither --help nor a wrong problem needs it.
     from inverse.problem import read_problem
 
     asked = read_problem(problem)

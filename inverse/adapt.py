@@ -1,4 +1,4 @@
-"""`python -m inverse.adapt PROBLEM --out RUN`: a surrogate that has learned the problem at hand."""
+"""`python -m inverse.adapt PROBLEM --out RUN`: trains a surrogate for the problem at hand."""
 
 import sys
 from pathlib import Path
@@ -9,7 +9,7 @@ from datasets.command_line import run
 
 
 class _Callable(ModuleType):
-    """This module, which its import binds over the function `inverse.adapt`, and which is that function when called."""
+    """This module, callable: importing it hides the function `inverse.adapt`, so the module acts as that function."""
 
     def __call__(self, *args: Any, **options: Any) -> Path:
         """See `inverse.adaptation.adapt`."""
@@ -32,22 +32,22 @@ def main(
     jobs: int | None = None,
     seed: int = 0,
 ) -> None:
-    """Run the MPM at points throughout the bounds of PROBLEM, and correct a model by these flows.
+    """Run the MPM at points throughout the bounds of PROBLEM, and correct a model with these flows.
 
-    Leaves OUT/best.safetensors with its card OUT/best.json, scores and bands on flows that were held out, OUT/data.
-    --model OUT then uses it in `validation.loop`, `inverse` and `gns.rollout`. Running the same command again finishes
-    what is missing.
+    Writes OUT/best.safetensors, its card OUT/best.json with scores and bands on held-out flows, and OUT/data. Use the
+    model with --model OUT in `validation.loop`, `inverse` and `gns.rollout`. Running the same command again resumes an
+    interrupted adaptation.
 
     Args:
         problem: Path of a problem in TOML, or the name of a shipped one.
         out: Folder of the model and its data.
-        runs: Runs of the MPM, of which every fifth is held out.
-        minutes: Time to train [min]; the runs come on top.
-        model: The model to begin with, a file or a folder; unless given, the one that ships for 2D or for 3D.
-        jobs: Processes of the MPM side by side; one per processor unless given.
+        runs: Number of MPM runs, of which every fifth is held out.
+        minutes: Time to train [min], without the MPM runs.
+        model: The model to start from, a file or a folder; by default, the one that ships for 2D or 3D.
+        jobs: Number of parallel MPM processes; by default, one per processor.
         seed: Seed of the parameters, of the jitters and of the samples.
     """
-    # Imported here: torch takes seconds to load, and help has no use for it.
+    # Imported here: torch takes seconds to load, and --help does not need it.
     import torch
 
     from inverse.adaptation import adapt

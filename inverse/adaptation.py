@@ -1,11 +1,11 @@
-"""Learn the problem at hand: the MPM's flows all over its box, by which a model's rollouts are corrected.
+"""Adapts a model to the problem at hand: MPM flows throughout the prior box correct the model's rollouts.
 
-A shipped model interpolates between flows of many kinds. An inversion asks for one kind, with a few unknowns: some 64
-runs fill their box, and a minute's training of the correction (`gns.network.correction`) lowers the error severalfold.
+A shipped model interpolates between flows of many kinds. An inversion needs one kind, with few unknowns: about 64 runs
+fill their box, and training the correction (`gns.network.correction`) for a minute lowers the error severalfold.
 Parameters are points of a Sobol sequence between the prior bounds (Sobol, On the distribution of points in a cube, USSR
-Comput. Math. Math. Phys. 7 (1967) 86-112), each flow with a jitter seed of its own; every fifth is held out, for the
-scores and the band. Powers of two would not do: those of a Sobol sequence that are so many apart fill one slice of the
-box alone.
+Comput. Math. Math. Phys. 7 (1967) 86-112), and each flow has its own jitter seed. Every fifth flow is held out for the
+scores and the band. A power of two would not do: points of a Sobol sequence that are 2^k apart fill only one slice of
+the box.
 """
 
 import dataclasses
@@ -43,15 +43,15 @@ from inverse.problem import Problem, read_problem
 from mpm.footprint import INVERSION
 from mpm.generate import generate, missing_entries
 
-DATA, PROBLEM = "data", "problem.json"  # in the folder of a run: its flows, and what problem they are of
-HELD_OUT = 5  # of so many flows one is held out; odd, so that those lie all over the box
-FEWEST = 7  # flows at least, of which two are held out
+DATA, PROBLEM = "data", "problem.json"  # in the folder of a run: its flows, and the problem they belong to
+HELD_OUT = 5  # one in so many flows is held out; odd, so that the held-out flows lie throughout the box
+FEWEST = 7  # smallest number of flows, of which two are held out
 TRAINING = TrainingSettings(
     correct=True, rollouts=3, learning_rate=1e-3, warmup=20, first=0.8, average=0.98, validations=1, validate_flows=24
 )
-"""Of a correction, by the flows of one problem."""
-EXPECTED_SCATTER = 0.01  # of fronts from jitter to jitter, over the extent, before any run has shown it
-KEPT = 8  # particles that are stored of each cell of the model, of which a sample has one
+"""Settings for the training of a correction with the flows of one problem."""
+EXPECTED_SCATTER = 0.01  # expected scatter of fronts from jitter to jitter, over the extent, before any run
+KEPT = 8  # particles stored per cell of the model; a training sample uses one of them
 
 
 def adapt(
@@ -64,16 +64,16 @@ def adapt(
     jobs: int | None = None,
     seed: int = 0,
 ) -> Path:
-    """Correct a model by the flows of `problem`, and return the file of its weights, `out`/best.safetensors.
+    """Correct a model with the flows of `problem`, and return the file of its weights, `out`/best.safetensors.
 
     >>> from inverse import adapt
     >>> from validation import solve
     >>> result = solve("friction-tall-42", "out/loop", model=adapt("friction-tall-42", "out/tall"))
 
-    runs: of the MPM, of which a fifth is held out; minutes: of training; model: to begin with, that which ships where
-    absent; jobs: processes side by side, one a processor where absent; seed: of the parameters, jitters and samples.
-    The same call again makes what is missing. Raises InputError for a problem that no surrogate can learn and where
-    `out` is another problem's, WorkFailed where a run of the MPM fails.
+    runs: MPM runs, of which a fifth is held out; minutes: training time; model: the model to start from, by default the
+    shipped one; jobs: parallel processes, by default one per processor; seed: of the parameters, jitters and samples.
+    The same call again resumes. Raises InputError for a problem that no surrogate can learn or if `out` belongs to
+    another problem, and WorkFailed if an MPM run fails.
     """
     asked, out = problem if isinstance(problem, Problem) else read_problem(problem), Path(out)
     weights = model_path(model or shipped(asked.scene))
@@ -117,13 +117,13 @@ def adapt(
 
 
 def identity(problem: Problem) -> dict[str, Any]:
-    """What the flows of two problems have in common if they are the same: unknowns, and the scene but for these."""
+    """What identifies a problem's flows: the unknowns, and the scene with the unknowns at the middle of the box."""
     middle = problem.box.at(np.full(len(problem.names), 0.5))
     return {"unknowns": problem.names, "scene": problem.scene_at(middle, 0).to_json()}
 
 
 def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: int) -> Definition:
-    """The flows of a problem: those of more `runs` begin with those of fewer."""
+    """The flows of a problem; a larger number of `runs` extends the flows of a smaller one."""
     box, length = problem.box, Units.of_model(problem.scene, settings).length
     sequence = qmc.Sobol(len(box.lower), rng=np.random.default_rng(seed))
     places = box.at(sequence.random_base2((runs - 1).bit_length()))
@@ -152,7 +152,7 @@ def change(before: Sequence[Score], after: Sequence[Score]) -> str:
 
 
 def scatter(runs: Sequence[tuple[Vector, Trajectory]], problem: Problem) -> str:
-    """In words, how much the MPM's fronts scatter from jitter to jitter: no model of a flow errs less."""
+    """In words, the scatter of the MPM's fronts from jitter to jitter, below which no model's error can fall."""
     if len(runs) < fewest_runs(len(problem.numbers)):
         return ""
     points = problem.box.shares(np.stack([values for values, _ in runs]))
@@ -163,9 +163,9 @@ def scatter(runs: Sequence[tuple[Vector, Trajectory]], problem: Problem) -> str:
 
 
 def deposits(model: Path | str, problem: Problem) -> list[tuple[Vector, Trajectory]]:
-    """Parameters and deposits, with all particles, of the MPM's runs that a model was adapted to `problem` by.
+    """Parameters and deposits, with all particles, of the MPM runs that adapted a model to `problem`.
 
-    model: its folder or its file. None where it was adapted to another problem. Raises InputError for a broken file.
+    model: its folder or its file. Empty if it was adapted to another problem. Raises InputError for a broken file.
     """
     run = Path(model) if Path(model).is_dir() else Path(model).parent
     if (recorded := read_json(run / PROBLEM)) != identity(problem):

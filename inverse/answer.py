@@ -1,4 +1,4 @@
-"""Answers: parameters that the observation allows, the runs of the MPM there, and the verdict on them."""
+"""Answers: parameters that the observation allows, the MPM runs at these parameters, and the verdict on them."""
 
 import resource
 from collections.abc import Sequence
@@ -20,19 +20,19 @@ from inverse.problem import Problem
 from inverse.search.waves import ModelRun
 
 MAX_NUMBERS = 100
-"""Longest observation that is written out: a whole deposit has thousands of numbers, in every iteration."""
-IDENTIFIABLE = 0.3  # half-width over the range, up to which a combination of parameters is identifiable
-UNIFORM = 0.475  # the same of a uniform prior
+"""Longest observation that is written to files: a whole deposit would add thousands of numbers per iteration."""
+IDENTIFIABLE = 0.3  # largest half-width, over the range, of an identifiable combination of parameters
+UNIFORM = 0.475  # half-width of a uniform prior, over the range
 
 
 class Verdict(StrEnum):
-    """What the MPM says of the answer."""
+    """The verdict of the MPM on the answer."""
 
     CONFIRMED = "confirmed"
-    """One answer, which the observation identifies; the MPM there lies within the predictive interval."""
-    AMBIGUOUS = "ambiguous"  # so does it at several separate answers, or over a whole range of them
+    """One answer, which the observation identifies; the MPM at the answer lies within the predictive interval."""
+    AMBIGUOUS = "ambiguous"  # the MPM lies within it at several separate answers, or over a whole range of parameters
     UNCONFIRMED = "unconfirmed"
-    UNREACHABLE = "unreachable"  # it does so for no parameters between the bounds
+    UNREACHABLE = "unreachable"  # the MPM lies within it for no parameters within the bounds
 
     @property
     def confirms(self) -> bool:
@@ -40,17 +40,17 @@ class Verdict(StrEnum):
 
 
 class Purpose(StrEnum):
-    """Why an MPM run was made."""
+    """The purpose of an MPM run."""
 
     WAVE = "wave"  # where it narrows the posterior most
     CHECK = "check"  # at an answer
-    KNOWN = "known"  # before, for another target
-    CELLS = "cells"  # at an answer on cells of another size, which show the error of the scene's
+    KNOWN = "known"  # made before, for another target
+    CELLS = "cells"  # at an answer on cells of another size, to estimate the error of the scene's cells
 
 
 @dataclass(frozen=True, kw_only=True)
 class MpmRun(ModelRun):
-    """A run of the MPM, with a jitter seed of its own."""
+    """An MPM run with its own jitter seed."""
 
     purpose: Purpose
     parameters: Vector  # shape [U]
@@ -60,7 +60,7 @@ class MpmRun(ModelRun):
 
     @classmethod
     def of(cls, flow: Trajectory, parameters: Vector, problem: Problem, target: Target, **others: Any) -> "MpmRun":
-        """A flow with `parameters` [U], observed as the target is; others: of the fields."""
+        """The run of a flow with `parameters` [U], observed in the same way as the target; others: further fields."""
         point, numbers = problem.box.shares(parameters), target.observation.observe(problem.clocked(flow, parameters))
         return cls(parameters=parameters, point=point, numbers=numbers, trajectory=flow, **others)
 
@@ -79,13 +79,13 @@ class MpmRun(ModelRun):
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """Parameters that the observation allows, with the runs of the MPM there."""
+    """Parameters that the observation allows, with the MPM runs at these parameters."""
 
     parameters: Vector  # shape [U]
     interval: Values  # quantiles of 2.5 and 97.5 % within the bounds, shape [2, U]
     weight: float = 1.0  # share of the posterior
     checks: tuple[MpmRun, ...] = ()
-    fit: Fit | None = None  # of the checks beside the target; None where the MPM was not asked
+    fit: Fit | None = None  # of the checks to the target; None without MPM runs
 
     @property
     def half_widths(self) -> Vector:
@@ -110,18 +110,18 @@ class Answer:
 class Combination:
     """A direction in the space of the parameters, and how well the observation constrains it."""
 
-    weights: dict[str, float]  # of each parameter, in fractions of its range; together of length 1
+    weights: dict[str, float]  # of each parameter, in fractions of its range; a unit vector
     half_width: float  # at 95 %, as a fraction of the range
-    prior: float = UNIFORM  # the same of a stated prior
+    prior: float = UNIFORM  # half-width of the prior, as a fraction of the range
 
     @property
     def identifiable(self) -> bool:
-        """Whether the observation constrains it: to three tenths of the range at least, or that share of the prior."""
+        """Whether the observation constrains it: half-width of at most `IDENTIFIABLE`, less for a narrower prior."""
         return self.half_width <= IDENTIFIABLE * min(1.0, self.prior / UNIFORM)
 
 
 def judge(problem: Problem, answers: Sequence[Answer], *, unreachable: bool = False) -> Verdict:
-    """The verdict on the answers, in their order; unreachable: only parameters beyond the bounds would fit."""
+    """The verdict on the ordered answers; unreachable: only parameters beyond the bounds would fit."""
     first = answers[0]
     if not first.confirmed:
         return Verdict.UNREACHABLE if unreachable else Verdict.UNCONFIRMED
@@ -129,7 +129,7 @@ def judge(problem: Problem, answers: Sequence[Answer], *, unreachable: bool = Fa
 
 
 def unidentified(problem: Problem, answer: Answer) -> list[str]:
-    """The numbers whose interval is most of the prior's; of a positive one within its half-width, half as much."""
+    """The numbers whose interval covers most of the prior's, or half as much if a positive number may be near 0."""
     names = []
     both = zip(answer.parameters, answer.half_widths, problem.prior_widths, strict=True)
     for number, (value, width, prior) in zip(problem.numbers, both, strict=True):
@@ -141,7 +141,7 @@ def unidentified(problem: Problem, answer: Answer) -> list[str]:
 
 
 def plain(values: Values) -> float | list[Any] | None:
-    """An observation as JSON has it: a number where it is one number, null where it is a whole deposit."""
+    """An observation for JSON: a number if it has one number, null if it is a whole deposit."""
     if len(values) > MAX_NUMBERS:
         return None
     return float(values[0]) if len(values) == 1 else [float(value) for value in values]

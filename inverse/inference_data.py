@@ -1,4 +1,4 @@
-"""`posterior.nc`: posterior, prior, posterior predictive and observed data as ArviZ's InferenceData has them.
+"""`posterior.nc`: posterior, prior, posterior predictive and observed data in the form of ArviZ's InferenceData.
 
     import arviz
     arviz.plot_pair(arviz.from_netcdf("out/posterior.nc"))
@@ -24,14 +24,14 @@ CHAINS = ("chain", "draw")
 
 
 def write(result: Result, path: Path) -> None:
-    """Write `posterior.nc`: S equally weighted samples, by systematic resampling, in order of their populations."""
+    """Write `posterior.nc`: S samples, resampled systematically to equal weights, in the order of their populations."""
     posterior, problem, observation = result.posterior, result.problem, result.target.observation
     assert posterior is not None, "an optimiser has no samples"
     rng = np.random.default_rng(problem.optimiser.seed)
     points = posterior.samples.drawn(len(posterior.samples.points), rng)
     shares = rng.random(points.shape)
     prior = shares if problem.prior is None else problem.prior.at(shares)
-    # In memory, and written by Python: where the disk is full HDF5 ends the process.
+    # HDF5 works in memory and Python writes the file: on a full disk, HDF5 would end the process.
     with h5py.File(path.name, "w", driver="core", backing_store=False, track_order=True) as file:
         for name, samples in (("posterior", chains(points)), ("prior", prior[None])):
             columns = zip(problem.numbers, np.moveaxis(problem.box.at(samples), -1, 0), strict=True)
@@ -54,7 +54,7 @@ def chains(samples: Matrix) -> Matrix:
 
 
 def predictive(posterior: Posterior, points: Matrix, rng: np.random.Generator) -> Matrix:
-    """What further flows at points [S, U] would show when measured, by the emulator's mean and all errors, [S, M]."""
+    """Draws [S, M] of measurements of further flows at points [S, U]: the emulator's mean plus all errors."""
     residual, fixed, variance = posterior.likelihood.residual(points)
     lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(len(fixed)))
     freedom = posterior.likelihood.freedom
@@ -68,7 +68,7 @@ def predictive(posterior: Posterior, points: Matrix, rng: np.random.Generator) -
 
 
 def fill(file: h5py.File, group_name: str, variables: Mapping[str, tuple[Matrix, str]], first: tuple[str, ...]) -> None:
-    """Write a group of values and units by name; their first axes are those named, a further one is their own."""
+    """Write a group: name -> values and unit. `first` names the first axes; a further axis gets its own name."""
     group = file.create_group(group_name, track_order=True)
     for name, (values, unit) in variables.items():
         dataset = group.create_dataset(name, data=values, track_order=True)

@@ -1,4 +1,4 @@
-"""One inversion by one forward model: its answers and their posterior, which nothing has checked."""
+"""One inversion with one forward model: its answers and their posterior, which no MPM run has checked."""
 
 import sys
 import time
@@ -27,23 +27,23 @@ from mpm import simulate, simulate_many
 def invert(
     problem: Problem, *, forward: ForwardModel | None = None, model: Path | None = None, out: Path | str | None = None
 ) -> Result:
-    """Find the parameters of `problem` by one forward model; `validation.solve` checks the answer by the MPM.
+    """Find the parameters of `problem` with one forward model; `validation.solve` checks the answer by the MPM.
 
     >>> from inverse import invert, read_problem
     >>> result = invert(read_problem("friction-tall-42"))
     >>> result.unknowns, result.interval
 
-    forward: the surrogate where absent, unless the problem asks for none; model: weights, those that ship where absent;
-    out: folder for `result.json`, `report.md` and pictures. Fields are found by the MPM's adjoint, with their
-    posterior. Raises InputError for a combination that there is none of, WorkFailed where a run blows up.
+    forward: by default the surrogate, unless the problem says "none"; model: weights, by default the shipped ones;
+    out: folder for `result.json`, `report.md` and pictures. Fields are found with the MPM's adjoint, together with
+    their posterior. Raises InputError for an unsupported combination, and WorkFailed if a run blows up.
     """
     _ = problem.operators
     if out is not None:
         make_folder(Path(out))
     if problem.fields:
         if forward is ForwardModel.GNS:
-            raise InputError("expected the MPM and its adjoint, which fields are found by", where="--forward")
-        # Imported here: other inversions have no use for the adjoint's kernels.
+            raise InputError("expected the MPM with its adjoint, which inversions for fields use", where="--forward")
+        # Imported here: other inversions do not need the adjoint's kernels.
         from inverse.fields.inversion import of_fields
 
         result = of_fields(problem, model)
@@ -59,7 +59,7 @@ def forward_model(
     problem: Problem, target: Target, forward: ForwardModel | None, model: Path | None
 ) -> GnsForward | MpmForward:
     if forward is ForwardModel.ADJOINT:
-        # Imported here: other inversions have no use for its kernels.
+        # Imported here: other inversions do not need its kernels.
         from inverse.forward.adjoint import AdjointForward
 
         return AdjointForward(problem, target.observation, simulate_many)
@@ -73,7 +73,7 @@ def forward_model(
 
 
 def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForward) -> Result:
-    """Every answer of the forward model, its errors as noise."""
+    """Every answer of the forward model, whose errors count as noise."""
     began, box, by_mpm = time.perf_counter(), problem.box, isinstance(forward, MpmForward)
     scatter = target.observation.prior_scatter(target.values)
     inference = inverted(forward, problem, target, scatter, rough=1.0 if by_mpm else ROUGH)

@@ -1,28 +1,28 @@
-"""How far an observation may be from the MPM at the right parameters: what noise, scatter and cells explain.
+"""The misfit between observation and MPM at the right parameters that noise, scatter and cells explain.
 
     y = f + sum_o b_o d_o + scatter + noise,    S^2 = 1/M r^T (K + D)^-1 r,    K = diag(n^2 + (1 + 1/k) c^2)
 
 | symbol | variable | meaning |
 |---|---|---|
-| r | `residual` | the mean of k runs of the MPM less the observation, M numbers |
-| n | `noise` | standard deviation by errors of the measurement (`Target.errors`) |
-| c | `scatter` | that of one flow, over the jitter seeds: the observation is one, the mean of k runs scatters by 1/k |
-| d | `cells` | what the cells of the MPM change, where the observation is no flow on the same |
-| b, D | `biases` | its unknown factor, smooth within an observation o, integrated over: one error, no noise |
+| r | `residual` | mean of k runs of the MPM minus the observation, M numbers |
+| n | `noise` | standard deviation of the measurement errors (`Target.errors`) |
+| c | `scatter` | standard deviation of one flow over the jitter seeds; the observation is one flow, the mean is of k |
+| d | `cells` | error of the MPM's cells, unless the observation is a flow on the same cells |
+| b, D | `biases` | its unknown factor, smooth within an observation o, integrated out: one error, no noise |
 | S | `ratio` | 1 on average at the right parameters |
 
-The MPM lies within the predictive interval where chance exceeds S at least once in a hundred times. Errors of the
-numbers are dependent: S^2 has the mean 1 all the same, but a wider distribution, that of F with
+The MPM lies within the predictive interval if chance exceeds S at least once in a hundred times. The errors of the
+numbers are dependent: S^2 still has the mean 1, but a wider distribution, an F distribution with
 
     h = M^2 / |R|_F^2,    nu = nu_c (1 + (N + D) / C)^2
 
-degrees of freedom, R the covariance of whitened r (Satterthwaite, Biometrics Bull. 2 (1946) 110-114), nu_c those with
-which the scatter is known and N, D, C the sums of n^2, d^2 and (1 + 1/k) c^2: what is known needs no estimate.
+degrees of freedom. R is the covariance of whitened r (Satterthwaite, Biometrics Bull. 2 (1946) 110-114), nu_c the
+degrees of freedom of the scatter's estimate, and N, D, C the sums of n^2, d^2 and (1 + 1/k) c^2; N and D are known.
 
-Where there are more numbers than parameters and S is above what chance explains once in twenty times, half-widths are
+If there are more numbers than parameters and chance exceeds S less than once in twenty times, half-widths are
 multiplied by S (M / (M - U))^(1/2), as if all noise had been stated too small: Birge's ratio (R. T. Birge, The
-calculation of errors by the method of least squares, Phys. Rev. 40 (1932) 207-227). Beside an error of the cells the
-residuals say which is too small: it is all, or noise and scatter alone, whatever makes them likelier,
+calculation of errors by the method of least squares, Phys. Rev. 40 (1932) 207-227). If the cells have an error too,
+either all errors are too small, or only noise and scatter, whichever makes the residuals more likely,
 
     F^2 (K + D)  or  F^2 K + D,    r^T (...)^-1 r = M - U
 
@@ -41,32 +41,32 @@ from datasets.scene.grid_field import Floats
 from inverse.observations.target import Target
 
 SMOOTH = 0.3
-"""Correlation length of the error of the cells where no run has shown its shape, over the numbers of an observation.
+"""Correlation length of the error of the cells, over the numbers of an observation, if no run has shown its shape. For
 
-Of eight fronts of a column over time (cells of 20, 10 and 5 mm) what finer cells change beyond the known shape has one
-change of sign, as a Gaussian process of this length has (docs/theory/uncertainty.md).
+eight fronts of a column over time (cells of 20, 10 and 5 mm) the change by finer cells beyond the known shape changes
+sign once, like a Gaussian process of this length (docs/theory/uncertainty.md).
 """
 CONFIDENCE = 0.99  # share of right answers that lie within the predictive interval
 RARE = 0.05  # a misfit that chance exceeds less often than this widens half-widths
-PRIOR_FREEDOM = 2.0  # degrees of freedom with which the expected scatter counts beside that of repeated runs
+PRIOR_FREEDOM = 2.0  # degrees of freedom of the expected scatter, added to those of repeated runs
 FLOOR = 1.0e-6
-"""Part of the largest variance of a number that every number has: rounding, where one does not vary at all."""
+"""Smallest variance of a number over the largest one: rounding, for a number that does not vary at all."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """The scatter of flows that differ in their jitter seed alone."""
+    """The scatter of flows that differ only in their jitter seed."""
 
     deviations: Floats
-    """Of runs from the mean of those at the same parameters, shape [n, M]."""
+    """Deviations of runs from the mean of runs at the same parameters, shape [n, M]."""
     freedom: int
-    """nu_c: runs less the means."""
+    """nu_c: number of runs minus number of means."""
     expected: Floats
-    """Standard deviation of each number before any run has shown it, shape [M]."""
+    """Expected standard deviation of each number before any run, shape [M]."""
 
     @classmethod
     def of_runs(cls, points: Floats, numbers: Floats, expected: Floats) -> "Scatter":
-        """By runs at points [n, U] that show `numbers` [n, M]: those that share their point with others."""
+        """The scatter of repeated runs, among runs at points [n, U] with results `numbers` [n, M]."""
         _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
         means = np.stack([numbers[label == place].mean(axis=0) for place in range(len(count))])
         repeated = (count > 1)[label]
@@ -74,7 +74,7 @@ class Scatter:
 
     @property
     def variance(self) -> Floats:
-        """c^2, shape [M]; what was expected counts with `PRIOR_FREEDOM`, scaled to what runs show of all numbers."""
+        """c^2, shape [M]; the expected variance, scaled to that of the runs over all numbers, has `PRIOR_FREEDOM`."""
         if self.freedom == 0:
             return np.asarray(self.expected**2)
         square = (self.deviations**2).sum(axis=0)
@@ -107,16 +107,16 @@ class Scatter:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """The MPM at an answer beside the observation."""
+    """The fit of the MPM at an answer to the observation."""
 
     residual: float
     """Root mean square of r, in the unit of the numbers."""
     noise: float
-    """The same of n."""
+    """Root mean square of n."""
     scatter: float
-    """Of c."""
+    """Root mean square of c."""
     cells: float
-    """Of d."""
+    """Root mean square of d."""
     ratio: float
     """S."""
     freedom: tuple[float, float]
@@ -126,17 +126,17 @@ class Fit:
     parameters: int
     """U."""
     outliers: dict[int, float] = field(default_factory=dict)
-    """Numbers that others do not predict, with z of each (`outlying`)."""
+    """Numbers that the others do not predict -> z (`outlying`)."""
     alone: float | None = None
-    """F where the residuals are likelier with noise and scatter alone multiplied by it."""
+    """F of noise and scatter alone, if that makes the residuals more likely."""
     applied: float = 1.0
-    """F that was applied, as it is reported."""
+    """The applied F, as reported."""
     spared: bool = False
-    """Whether to noise and scatter alone."""
+    """Whether it was applied to noise and scatter alone."""
 
     @property
     def allowed(self) -> float:
-        """Half of the predictive interval: the largest root mean square of residuals such as these within it."""
+        """Half of the predictive interval: the largest root mean square of residuals within it."""
         limit = math.sqrt(float(f.ppf(CONFIDENCE, *self.freedom)))
         return self.residual * limit / self.ratio if self.ratio > 0.0 else limit * math.hypot(self.noise, self.cells)
 
@@ -147,12 +147,12 @@ class Fit:
 
     @property
     def probability(self) -> float:
-        """Of so large an S or more by chance."""
+        """Probability of such an S or a larger one by chance."""
         return float(f.sf(self.ratio**2, *self.freedom))
 
     @property
     def factor(self) -> float:
-        """F, by which errors are to be multiplied, 1 at least: Birge's ratio, of M - U free numbers."""
+        """F, the factor for the errors, at least 1: Birge's ratio with M - U degrees of freedom."""
         if self.numbers <= self.parameters or self.ratio <= 1.0 or self.probability >= RARE:
             return 1.0
         return self.alone or self.ratio * math.sqrt(self.numbers / (self.numbers - self.parameters))
@@ -163,8 +163,8 @@ def biases(target: Target, cells: Floats, extrapolated: float) -> Floats:
 
     D = (1 - e/2) d d^T + e/2 a a^T k,    a_i^2 = sum_j k_ij d_j^2 / sum_j k_ij,    k Gaussian of length `SMOOTH`
 
-    extrapolated: share e of d that no run has shown, of which half has the shape of d and half any smooth one, as large
-    as d around each number: cells change no front before it has moved, and what they leave unknown of it is no more.
+    extrapolated: share e of d that no run has shown. Half of it has the shape of d, half any smooth shape that is as
+    large as d around each number: cells do not change a front before it has moved, so its unknown error is small too.
     """
     covariance = (1.0 - 0.5 * extrapolated) * np.outer(cells, cells)
     for part in target.observation.parts:
@@ -172,7 +172,7 @@ def biases(target: Target, cells: Floats, extrapolated: float) -> Floats:
         apart = (numbers[:, None] - numbers) / max(1.0, SMOOTH * len(numbers))
         alike = np.exp(-0.5 * apart**2)
         around = np.sqrt(alike @ cells[numbers] ** 2 / alike.sum(axis=1))
-        # Each observation has a factor of its own.
+        # Each observation has its own factor.
         covariance[np.ix_(numbers, numbers)] += 0.5 * extrapolated * alike * np.outer(around, around)
     return covariance
 
@@ -187,7 +187,7 @@ def fit(
     parameters: int = 0,
     slopes: Floats | None = None,
 ) -> Fit:
-    """Of runs at one answer that show numbers [k, M].
+    """The fit of runs at one answer, with results `shown` [k, M].
 
     cells: d [M]; extrapolated: see `biases`; parameters: how many were fitted; slopes: by them [U, M], for `outlying`.
     """
@@ -223,7 +223,7 @@ def fit(
         # Parameters in fractions of their ranges have the variance 1/12.
         predicted = np.diag(total) + slopes.T @ slopes / 12.0 + (0.0 if bias is None else bias)
     first = float(np.clip(size**2 / max(square, 1.0), 1.0, size))
-    # Those with which the scatter is known, and with what its prior adds; many where nothing but the prior is.
+    # Degrees of freedom of the scatter including its prior; many if there is only the prior.
     counted = scatter.freedom + PRIOR_FREEDOM if scatter.freedom else 1e6
     second = counted * (1.0 + float(independent.sum()) / max(float(variance.sum()), 1e-300)) ** 2
     return Fit(
@@ -241,7 +241,7 @@ def fit(
 
 
 def noise_alone(residual: Floats, bias: Floats, freedom: int) -> float | None:
-    """F > 1 of F^2 I + D where that makes residuals [M] likelier than F^2 (I + D), in units of noise and scatter."""
+    """F > 1 of F^2 I + D if it makes residuals [M] more likely than F^2 (I + D), in units of noise and scatter."""
     values, axes = eigh(bias)
     values, squares = np.maximum(values, 0.0), (axes.T @ residual) ** 2
 
@@ -257,13 +257,13 @@ def noise_alone(residual: Floats, bias: Floats, freedom: int) -> float | None:
 
 
 def outlying(residual: Floats, covariance: Floats) -> dict[int, float]:
-    """Numbers whose residuals [M] lie off what the others predict by more than chance does once in a hundred flows.
+    """Numbers whose residuals [M] differ from the others' prediction by more than chance does once in a hundred flows.
 
     z_i = (P r)_i / P_ii^(1/2),   P = C^-1,   r observed less predicted
 
     leaves out one number after the other (Dubrule, Cross validation of kriging in a unique neighborhood, Math. Geol. 15
-    (1983) 687-699). The farthest is left out for good, then those that are left are judged again: it moves them all.
-    None is named where no majority agrees: of two numbers that contradict each other either may be wrong.
+    (1983) 687-699). The worst one is removed and the others are judged again, because it has affected all of them.
+    Without an agreeing majority none is named: of two numbers that contradict each other either may be wrong.
     """
     limit = float(norm.isf(0.5 * (1.0 - CONFIDENCE) / len(residual)))
     scale, left, outliers = np.sqrt(np.diag(covariance)), np.arange(len(residual)), {}

@@ -1,4 +1,4 @@
-"""Pictures of what was found: deposits with what was observed of them, parameters, posterior, fields."""
+"""Pictures of a result: deposits with their observations, parameters, posterior, fields."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -42,15 +42,15 @@ OUTLINES: dict[str, tuple[Literal[":", "-", "--"], str, str]] = {
     "truth": ("--", "#222222", "baffle in truth"),
 }
 """Line, colour and meaning of the outline of a baffle."""
-HEIGHTS = "viridis"  # colours of the heights in a picture from above
-CONTOURS = 12  # of the ground, about
+HEIGHTS = "viridis"  # colours of the heights in a plan view
+CONTOURS = 12  # approximate number of contour lines of the ground
 LINE = "#b2182b"
 WIDTH = 10.0  # of a picture [inches]
 RESOLUTION = 100  # pixels per inch
 SMALL = ("axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize")
 STYLE: dict[str, Any] = dict.fromkeys(SMALL, 8)
 STYLE |= {"axes.titlesize": 9, "axes.titlelocation": "left", "legend.frameon": False}
-PAIRS = 5  # parameters up to which every pair is drawn; of more, each by itself
+PAIRS = 5  # largest number of parameters for which every pair is drawn; of more, each is drawn alone
 BINS = 40
 ANSWER = "tab:red"
 
@@ -75,20 +75,20 @@ def write(result: Result, folder: Path) -> list[str]:
 
 @matplotlib.rc_context(STYLE)  # type: ignore[arg-type]
 def plot(result: Result) -> Figure:
-    """The deposits of the target and of the answer, each by itself, and their height profiles over each other."""
+    """Plot the deposits of the target and of the answer in separate panels, and their height profiles in one."""
     scene, scenes, target = result.problem.scene, standings(result), result.target.deposit
     lying = ({} if target is None else {"target": target}) | {result.forward: result.deposit}
-    # Seen from above colours are heights over the ground; from the side the ground is drawn.
+    # In plan, colours are heights above the ground; from the side, the ground is drawn.
     ground = measures.ground_of(scenes["found"]) if scene.dimension == 3 else lambda plan: np.zeros(len(plan))
     shown = {name: measures.above(deposit, ground) for name, deposit in lying.items()}
     top = 1.08 * max(float(deposit[:, 1].max()) for deposit in shown.values())
     flat = (top if scene.dimension == 2 else scene.domain.size[2]) / scene.domain.size[0]
-    # Of the height of a panel a part is its title and the names of its axis.
+    # The height of a panel includes its title and axis labels.
     height = float(np.clip(0.85 * WIDTH * flat, 1.0, 3.4)) + 0.75
     rows = len(shown) + 1
     figure, axes = plt.subplots(rows, 1, figsize=(WIDTH, rows * height), layout="constrained")
     for axis, (name, deposit) in zip(axes, shown.items(), strict=False):
-        # The baffles that were in the way of this deposit are filled.
+        # The baffles that this flow met are drawn filled.
         filled = "truth" if name == "target" and "truth" in scenes else "found"
         paint(axis, deposit, COLOURS[name], scenes, filled, top)
         surroundings(axis, result, scenes["found"])
@@ -105,18 +105,18 @@ def plot(result: Result) -> Figure:
 
 
 def standings(result: Result) -> dict[str, Scene]:
-    """The scene with its baffles as they were at the start, as found and, where it is known, as in truth."""
+    """The scene with its baffles at the start of the search, as found and, if known, in truth."""
     problem, truth = result.problem, result.target.truth
     scenes = {"start": problem.scene_at(problem.initial), "found": problem.scene_at(result.answer)}
     if truth:
         scenes["truth"] = problem.scene_at(np.array([truth[name] for name in problem.names]))
-    # One that never moved is drawn once.
+    # Baffles that never moved are drawn once.
     moved = any(scene.baffles != scenes["found"].baffles for scene in scenes.values())
     return scenes if moved else {"found": scenes["found"]}
 
 
 def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene], filled: str, top: float) -> None:
-    """A deposit [m], shape [N, D], up to `top` [m], and the baffles of `scenes`, those of `filled` filled."""
+    """Draw a deposit [m], shape [N, D], up to `top` [m], and the baffles of `scenes`; those of `filled` are filled."""
     size = scenes["found"].domain.size
     across = len(size) - 1
     if across == 1:
@@ -138,7 +138,7 @@ def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene]
 
 
 def surroundings(axis: Axes, result: Result, scene: Scene) -> None:
-    """The ground, from above by contour lines, and the outlines that were observed."""
+    """Draw the ground, in plan as contour lines, and the observed outlines."""
     heights = ground_raster(scene, scene.domain.cell)[0]
     axes = [scene.domain.cell * np.arange(count) for count in heights.shape]
     if np.ptp(heights) > 0.0 and scene.dimension == 2:
@@ -152,7 +152,7 @@ def surroundings(axis: Axes, result: Result, scene: Scene) -> None:
 
 
 def mark(axis: Axes, result: Result, deposit: Deposit, colour: str) -> str:
-    """Mark on a picture of a deposit what was observed of it, and say it in a few words."""
+    """Mark the observed quantity in a picture of a deposit, and return its text."""
     observation, across = result.target.observation, deposit.shape[1] - 1
     if isinstance(observation, Passed):
         axis.axvline(observation.line, color=LINE, linestyle="--", linewidth=1.2, zorder=5, label="line")
@@ -169,7 +169,7 @@ def mark(axis: Axes, result: Result, deposit: Deposit, colour: str) -> str:
 
 
 def profiles(axis: Axes, result: Result, shown: Mapping[str, Deposit], scene: Scene) -> None:
-    """The height profiles of all deposits, and what is known of a target."""
+    """Plot the height profiles of all deposits, and the target's profile or front if it has no deposit."""
     target, domain = result.target, scene.domain
     spacing = min(2.0 * domain.cell, 0.5 * domain.size[0])
     profile = ProfileSettings(spacing=spacing).operator(scene)
@@ -189,7 +189,7 @@ def profiles(axis: Axes, result: Result, shown: Mapping[str, Deposit], scene: Sc
 
 
 def unknowns(result: Result) -> Figure:
-    """Every number side by side, a panel for each unit: start, found with its interval, truth."""
+    """Plot all unknown numbers, a panel for each unit: start, found value with its interval, truth."""
     units, truth = list(dict.fromkeys(kind.unit for kind in result.problem.kinds)), result.target.truth
     size = (WIDTH, 0.4 + 3.2 * len(units))
     figure, grid = plt.subplots(len(units), 1, figsize=size, layout="constrained", squeeze=False)
@@ -197,7 +197,7 @@ def unknowns(result: Result) -> Figure:
         indices = [index for index, parameter in enumerate(result.problem.numbers) if parameter.kind.unit == unit]
         every, x = [result.problem.numbers[index] for index in indices], np.arange(len(indices))
         if truth:
-            # Steps as wide as their columns: the profile of the truth over the layers.
+            # Each line is as wide as its column, so that the truth forms a step profile.
             axis.hlines([truth[parameter.name] for parameter in every], x - 0.4, x + 0.4, color="black", label="truth")
         starts = [parameter.start for parameter in every]
         axis.plot(x - 0.2, starts, "_", color="#888888", markersize=9, markeredgewidth=1.5, label="start")
@@ -215,7 +215,7 @@ def unknowns(result: Result) -> Figure:
 
 
 def posterior(result: Result) -> Figure:
-    """Prior and posterior of every number and, of a few, the samples of every pair."""
+    """Plot prior and posterior of every number and, for few numbers, the samples of every pair."""
     count = len(result.problem.numbers)
     pairs = count <= PAIRS
     rows, columns = (count, count) if pairs else (-(-count // 4), 4)
@@ -268,7 +268,7 @@ def pair(axis: Axes, result: Result, first: int, second: int) -> None:
 
 
 def fit(found: Sequence[Residuals]) -> Figure:
-    """A panel for each observation: numbers with their noise over time or place, median and predictive band."""
+    """Plot a panel for each observation: numbers with noise over time or place, predicted median and band."""
     size = (WIDTH, 0.4 + 2.6 * len(found))
     figure, axes = plt.subplots(len(found), 1, figsize=size, layout="constrained", squeeze=False)
     for axis, each in zip(axes[:, 0], found, strict=True):
@@ -293,7 +293,7 @@ def fit(found: Sequence[Residuals]) -> Figure:
 
 
 def field(posterior: FieldPosterior) -> Figure:
-    """A field from the side, in 3D on the middle plane, or in plan; over one axis or of zones see `curve`."""
+    """Plot a field from the side, in 3D on the middle plane, or in plan; for one axis or zones, see `curve`."""
     grid, axes_of = posterior.unknown.grid, posterior.unknown.axes
     varying = [axis for axis in range(min(2, len(grid.nodes))) if grid.nodes[axis] > 1]
     label = f"{LABELS[posterior.unknown.settings.quantity]} [{posterior.unknown.unit or '-'}]"
@@ -305,7 +305,7 @@ def field(posterior: FieldPosterior) -> Figure:
     panels: list[tuple[str, Floats, tuple[float, float], str]] = [
         (f"most probable: {label}", arrays["mean"], between, "viridis"),
         (f"standard deviation: {label}", arrays["deviation"], (0.0, float(arrays["prior_deviation"].max())), "magma_r"),
-        ("share of the prior's variance removed [-]", arrays["removed"], (0.0, 1.0), "Greens"),
+        ("share of the prior variance removed [-]", arrays["removed"], (0.0, 1.0), "Greens"),
     ]
     if posterior.truth is not None:
         panels.insert(0, (f"truth: {label}", posterior.truth, between, "viridis"))
@@ -324,7 +324,7 @@ def field(posterior: FieldPosterior) -> Figure:
 
 
 def curve(posterior: FieldPosterior, axis: int, label: str) -> Figure:
-    """A field along one axis with its band; of zones a bar for each."""
+    """Plot a field along one axis with its band, or an error bar for each zone."""
     figure, panel = plt.subplots(figsize=(0.6 * WIDTH, 3.0), layout="constrained")
     grid = posterior.unknown.grid
     lines = np.moveaxis(np.arange(grid.count).reshape(grid.nodes), axis, 0)

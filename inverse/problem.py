@@ -1,4 +1,4 @@
-"""Problem: what is unknown, what was observed and how hard to look for it. Read from TOML or built in Python."""
+"""Problem: the unknowns, the observations and the search settings. Read from TOML or built in Python."""
 
 import math
 from collections.abc import Sequence
@@ -29,19 +29,19 @@ from inverse.parameters.prior import Correlation, JointPrior
 from inverse.settings import LoopSettings, OptimiserSettings, Surrogate, TargetSettings
 
 PROBLEMS = Path(__file__).parent / "problems"
-FEWEST_RUNS = 5  # MPM runs besides one for each unknown: a trend, its error, and one at the answer
+FEWEST_RUNS = 5  # MPM runs in addition to one for each unknown: for a trend, its error and a check of the answer
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemKeys(Record):
-    """What a problem and its file have in common."""
+    """The keys that a problem and its file have in common."""
 
     observations: tuple[Annotated[ObservationSettings, one_of(KINDS)], ...]
-    """What was observed, compared together."""
+    """The observations, which are compared together."""
     correlations: tuple[Correlation, ...] = ()
-    """Of the priors of pairs of numbers."""
+    """Correlations of the priors of pairs of numbers."""
     target: TargetSettings = field(default_factory=TargetSettings)
-    """Where the numbers come from."""
+    """The source of the observed numbers."""
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
     surrogate: Surrogate = Surrogate.AUTO
@@ -49,7 +49,7 @@ class ProblemKeys(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class _File(ProblemKeys):
-    """A problem as it stands in its file."""
+    """A problem as its file states it."""
 
     scene: str
     unknowns: tuple[Parameter, ...]
@@ -78,7 +78,7 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True)
 class Problem(ProblemKeys):
-    """An inverse problem, checked. Raises InputError, which names the key, for one that has no answer.
+    """An inverse problem, checked. Raises InputError, which names the key, for one that cannot be solved.
 
     >>> Problem(
     ...     name="my column",
@@ -91,11 +91,11 @@ class Problem(ProblemKeys):
     name: str
     """Stem of its file."""
     folder: Path = Path()
-    """Relative paths in it start here."""
+    """Folder to which paths in the problem are relative."""
     scene: Scene
-    """The flow; its own values of the parameters are a twin's truth and nothing else."""
+    """The flow; its own values of the parameters serve only as the truth of a twin."""
     parameters: tuple[Parameter, ...]
-    """What to find (`[[unknowns]]`): numbers, in the order of every vector of them, and fields."""
+    """The unknowns (`[[unknowns]]`): numbers, in the order of every parameter vector, and fields."""
 
     def __post_init__(self) -> None:
         require(len(self.parameters) > 0, "unknowns", "at least one unknown", "none")
@@ -104,11 +104,11 @@ class Problem(ProblemKeys):
             started = parameter.is_field or parameter.prior is not None or parameter.initial is not None
             require(started, f"{key}.initial", "a value", "none, the key is missing")
         check_parameters(self.scene, by_key, "unknowns")
-        # It refuses correlations that are none.
+        # The prior refuses invalid correlations.
         _ = self.prior
         self._check_observations()
         for key, parameter in by_key.items():
-            # Without files: what is in these has times of its own.
+            # Observations with files are exempt: the files contain times.
             timeless = parameter.name == "time_offset" and not any(
                 "csv" in settings.given or settings.operator(self.scene).over_time for settings in self.observations
             )
@@ -125,7 +125,7 @@ class Problem(ProblemKeys):
 
     @cached_property
     def fields(self) -> list[UnknownField]:
-        """Those that are fields, with their nodes and priors. Raises InputError, which names the key."""
+        """The unknown fields, with their nodes and priors. Raises InputError, which names the key."""
         fields = []
         for index, parameter in enumerate(self.parameters):
             if parameter.is_field:
@@ -148,7 +148,7 @@ class Problem(ProblemKeys):
 
     @cached_property
     def prior(self) -> JointPrior | None:
-        """The stated prior of the numbers; None where it is uniform between the bounds. Raises InputError."""
+        """The stated prior of the numbers; None if it is uniform between the bounds. Raises InputError."""
         stated = [number for number in self.numbers if number.prior is not None and number.prior.kind != "uniform"]
         if not stated and not self.correlations:
             return None
@@ -156,18 +156,18 @@ class Problem(ProblemKeys):
 
     @property
     def prior_widths(self) -> Vector:
-        """Of each number the width of a uniform prior that is known as well as its own, shape [U]."""
+        """Width of a uniform prior equivalent to the prior of each number, shape [U]."""
         return self.box.range if self.prior is None else np.array([marginal.width for marginal in self.prior.marginals])
 
     @property
     def initial(self) -> Vector:
-        """Where the search starts, shape [U]."""
+        """Start of the search, shape [U]."""
         return np.array([number.start for number in self.numbers])
 
     def scene_at(self, values: Vector, seed: int | None = None, fields: Sequence[Floats] = ()) -> Scene:
-        """The scene at numbers `values` [U], with another jitter `seed` if so asked. Raises InputError.
+        """The scene with numbers `values` [U] and, if given, another jitter `seed`. Raises InputError.
 
-        fields: values [K] of each unknown field; the medians of their priors where absent.
+        fields: values [K] of each unknown field; default: the medians of their priors.
         """
         scene = with_kinds(self.scene, self.kinds, values)
         given = fields or [unknown.median for unknown in self.fields]
@@ -176,7 +176,7 @@ class Problem(ProblemKeys):
         return scene if seed is None else replace(scene, seed=seed)
 
     def clocked(self, run: Trajectory, values: Vector) -> Trajectory:
-        """A run at numbers `values` [U] by the clock of the observations, which starts `time_offset` after the flow."""
+        """A run with numbers `values` [U] in the observations' time, which starts `time_offset` after the flow."""
         late = sum(float(values[n]) for n, kind in enumerate(self.kinds) if isinstance(kind, Clock))
         return replace(run, time=run.time - late) if late else run
 
@@ -186,7 +186,7 @@ class Problem(ProblemKeys):
 
     @cached_property
     def measured(self) -> list[Target]:
-        """What the observations bring themselves, each table read once. Raises InputError, which names key or table."""
+        """Targets from the observations' own numbers, each table read once. Raises InputError with key or table."""
         targets = []
         for index, settings in enumerate(self.observations):
             with keyed(f"observations[{index}]"):
@@ -199,42 +199,42 @@ class Problem(ProblemKeys):
         measured = [target.observation for target in self.measured] if self.target.measured else None
         observed = [settings.operator(self.scene) for settings in self.observations] if measured is None else measured
         for index, operator in enumerate(observed if any(mass.kind == INFLOW for mass in self.scene.masses) else ()):
-            # Positions over time are also those of particles that have not entered.
+            # Positions over time would include particles that have not entered yet.
             ends = not (operator.over_time and (operator.of_positions or operator.dense))
             require(ends, f"observations[{index}]", "the deposit or forces, where material flows in", operator.kind)
         return observed
 
     @property
     def twin_scene(self) -> Scene:
-        """The twin's scene: the truth, a jitter, maybe other cells. Raises InputError for cells that do not fit."""
+        """The twin's scene: truth, jitter seed and cells of its own. Raises InputError for cells that do not fit."""
         truth, cell = self.target.truth, self.target.cell
         scene = with_parameters(self.scene, list(truth), list(truth.values()))
         values = np.array([number.kind.read(scene) for number in self.numbers])
-        # Its fields are the scene's own.
+        # The twin keeps the fields of the scene.
         twin = replace(with_kinds(self.scene, self.kinds, values), seed=self.target.seed)
         return twin if cell is None else twin.with_cell(cell)
 
     @property
     def seeds(self) -> range:
-        """Jitter seeds of a search for fields; those that measure the scatter come after them."""
+        """Jitter seeds of a search for fields, before the seeds that measure the scatter."""
         return range(self.scene.seed, self.scene.seed + self.optimiser.seeds)
 
     @property
     def scatter_seeds(self) -> range:
-        """Jitter seeds of the runs that measure the scatter: none of the search's, nor the twin's."""
+        """Jitter seeds of the runs that measure the scatter, different from those of the search and the twin."""
         first = max(self.seeds[-1], self.target.seed) + 1
         return range(first, first + self.optimiser.ensemble)
 
     @property
     def released(self) -> float | None:
-        """Volume of the masses over the width [m^2], in 2D their area; None where that is itself a parameter."""
+        """Volume of the masses over the width [m^2], in 2D their area; None if it depends on an unknown."""
         fields = any(parameter.is_field and parameter.quantity == THICKNESS for parameter in self.parameters)
         if fields or any(kind.changes_volume for kind in self.kinds):
             return None
         return released_volume(self.scene) / math.prod(self.scene.domain.size[2:])
 
     def _check_observations(self) -> None:
-        """Raise InputError for observations that cannot be made of a flow of the scene, or compared with each other."""
+        """Raise InputError for observations that a flow of the scene does not have, or that cannot be combined."""
         require(len(self.observations) > 0, "observations", "at least one observation", "none")
         for index, settings in enumerate(self.observations):
             with keyed(f"observations[{index}]"):
@@ -304,7 +304,7 @@ class Problem(ProblemKeys):
 
 
 def read_problem(name: str | Path) -> Problem:
-    """Read the problem at a path or of a shipped name. Raises InputError, which names the file and the key.
+    """Read a problem from a path or by a shipped name. Raises InputError, which names the file and the key.
 
     >>> problem = read_problem("friction-tall-42")
     """
@@ -314,7 +314,7 @@ def read_problem(name: str | Path) -> Problem:
         if "domain" in data:
             raise InputError("expected a problem, got a scene: python -m mpm.run takes it", key="domain")
         file = from_mapping(_File, data)
-        # A scene named by path lies beside the problem; a shipped one goes by its name.
+        # The path of a scene is relative to the problem's file; a shipped scene is given by its name.
         scene = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
         keys = vars(file) | {"name": path.stem, "folder": path.parent, "scene": scene}
         if scene.domain.origin is None:
@@ -336,6 +336,6 @@ def read_problem(name: str | Path) -> Problem:
 
 
 def likely(problem: Problem) -> Problem:
-    """The same problem; one UserWarning for each number between whose bounds it looks like another unit's."""
+    """The same problem, with a UserWarning for each number whose bounds look like another unit's."""
     warn_if_unlikely(problem.scene_at(problem.box.upper))
     return problem

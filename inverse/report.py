@@ -18,18 +18,18 @@ from inverse.parameters import Parameter, changed_material
 from inverse.residuals import outlying, residuals
 from inverse.result import Result
 
-NAMED = 4  # with more numbers than these the conclusion gives the range of their half-widths, tables leave them out
+NAMED = 4  # with more unknowns the conclusion gives the range of their half-widths, and tables omit them
 MAIN = 0.3
-"""Share of the greatest weight from which on one of the `NAMED` heaviest parameters is named in a combination."""
-SUGGESTED = 3  # measurements, and combinations that are identifiable, that the conclusion names
+"""A combination names those of its `NAMED` heaviest parameters whose weight is at least this share of the largest."""
+SUGGESTED = 3  # number of measurements, and of identifiable combinations, that the conclusion names
 DECISIVE = 0.2
-"""Information of a measurement [nat] from which on the conclusion names it: an emulator of few runs feigns less."""
+"""Smallest information [nat] of a measurement that the conclusion names: the noise of few runs can feign less."""
 LARGER, FINEST = 1.5, 8.0
-"""The error of the cells over the noise from which on finer cells are advised, and up to which their size is said."""
+"""Error of the cells over the noise above which the report advises finer cells, and up to which it gives their size."""
 
 
 def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
-    """The report that lies in `folder`; pictures: names of the files beside it."""
+    """The text of the report in `folder`; pictures: names of the picture files beside it."""
     parts = [f"# {result.problem.name}: {result.verdict}", "\n".join(f"- {line}" for line in conclusion(result))]
     made = [f"`{result.command}`"] if result.command else []
     if any(run.file for run in result.mpm_runs):
@@ -61,7 +61,7 @@ def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
 
 
 def conclusion(result: Result) -> list[str]:
-    """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
+    """The main sentences: verdict, parameters, identifiability, decisive measurements, truth and fit, cost."""
     runs = f"{result.run_count} MPM runs, " if result.forward == "MPM" else ""
     sentences = [first_found(result), verdict(result), numbers(result), angles(result)]
     sentences += [f"`{field.name}`: {identified(field)}" for field in result.fields]
@@ -70,7 +70,7 @@ def conclusion(result: Result) -> list[str]:
 
 
 def first_found(result: Result) -> str:
-    """What the surrogate found before any run of the MPM, and what the MPM said of it."""
+    """The surrogate's answers before any MPM run, and their misfit in the MPM."""
     said, root = result.surrogate or {}, result.target.observation.root_text
     if "answers" not in said:
         return ""
@@ -131,7 +131,7 @@ def numbers(result: Result) -> str:
 
 
 def angles(result: Result) -> str:
-    """The angles of friction of the answer, as a triaxial test and as a slope would show them."""
+    """The friction angles of the answer, as measured in a triaxial test and on a slope."""
     if len(result.problem.numbers) > NAMED:
         return ""
     scene, parts = result.scene, []
@@ -150,7 +150,7 @@ def with_intervals(result: Result, values: Iterable[float], intervals: Iterable[
 
 
 def named(result: Result, values: Iterable[float], intervals: Iterable[Sequence[float]]) -> str:
-    """The first of them."""
+    """The first `NAMED` numbers with their intervals, as text."""
     return ", ".join([f"{name} = {text}" for name, text in with_intervals(result, values, intervals).items()][:NAMED])
 
 
@@ -159,7 +159,7 @@ def within(number: Parameter, ends: Sequence[float]) -> str:
 
 
 def equifinality(result: Result) -> str:
-    """What the observation does not constrain, and which measurement would."""
+    """The parameters that the observation does not constrain, and the measurements that would."""
     if result.posterior is None:
         return ""
     parts = [advice] if (advice := finer(result)) else []
@@ -175,7 +175,7 @@ def equifinality(result: Result) -> str:
 
 
 def quality(result: Result) -> str:
-    """Errors against the truth, where it is known, and whether the model fits."""
+    """Errors against the truth, if it is known, and whether the model fits."""
     parts, truth = [], result.target.truth
     if truth:
         every, unknowns = result.problem.numbers, result.unknowns
@@ -205,7 +205,7 @@ def sentence(parts: Sequence[str]) -> str:
 
 
 def question(result: Result) -> str:
-    """What was asked: the numbers in a table with their bounds and values, priors of fields, observations."""
+    """The problem: priors of fields, observations, and a table of the unknown numbers with bounds and values."""
     fields = []
     for field in result.fields:
         settings, nodes = field.unknown.settings, " x ".join(map(str, field.unknown.grid.nodes))
@@ -261,7 +261,7 @@ def comparison(result: Result) -> str:
 
 
 def data_that_matter(result: Result) -> str:
-    """Half-widths of the numbers without each observation, by the emulator of the same runs."""
+    """Half-widths of the numbers without each observation, from the same runs."""
     whole, rows = result.without[ALL_DATA], []
     for name, widths in result.without.items():
         row = {"left out": "nothing" if name == ALL_DATA else name}
@@ -269,17 +269,17 @@ def data_that_matter(result: Result) -> str:
             width, share = widths[number.name], widths[number.name] / max(whole[number.name], 1e-300)
             row[f"± `{number.name}` (95 %)"] = f"{number.kind.text(width)} ({share:.2g} times)"
         rows.append(row)
-    said = "Half-widths without each observation, from the same runs, by an emulator of the whole box."
+    said = "Half-widths without each observation, from the same runs, with an emulator over the whole box."
     fit = result.answers[0].fit
     if fit is not None and fit.applied > 1.0:
-        said += f" Every row keeps the factor {fit.applied:.2g} by which all data together misfit."
+        said += f" Every row keeps the factor {fit.applied:.2g} that the misfit of all data together gives."
     return f"{said}\n\n{markdown_table(rows)}"
 
 
 def identified(field: FieldPosterior) -> str:
     inside, box = field.unknown.inside, field.identified_box()
     if box is None:
-        return f"The observation removes less than {100.0 * IDENTIFIED:.0f} % of the prior's variance of every value."
+        return f"The observation removes less than {100.0 * IDENTIFIED:.0f} % of the prior variance of every value."
     share = float(field.identified[inside].mean())
     axes = field.unknown.axes
     between = ", ".join(f"{name} from {low:.3g} to {high:.3g} m" for name, (low, high) in zip(axes, box, strict=False))
@@ -288,13 +288,13 @@ def identified(field: FieldPosterior) -> str:
         numbers = field.unknown.zones.numbers[field.identified]
         where = f"of the zones {', '.join(f'{number:g}' for number in numbers)}"
     return (
-        f"The observation removes more than {100.0 * IDENTIFIED:.0f} % of the prior's variance of "
-        f"{100.0 * share:.0f} % of the values, {where}; of the others the prior says more than the observation."
+        f"The observation removes more than {100.0 * IDENTIFIED:.0f} % of the prior variance for {100.0 * share:.0f} % "
+        f"of the values, {where}; the prior determines the other values more than the observation does."
     )
 
 
 def field_table(field: FieldPosterior) -> str:
-    """Widths and, of a twin, errors: of all values and of those that are identified."""
+    """Widths and, for a twin, errors: for all values, the identified ones and the others."""
     unit, inside, rows = field.unknown.unit, field.unknown.inside, []
     unit = f" [{unit}]" if unit else ""
     for name, where in (("all", inside), ("identified", field.identified), ("others", inside & ~field.identified)):
@@ -312,11 +312,11 @@ def field_table(field: FieldPosterior) -> str:
 
 
 def uncertainty(result: Result) -> list[str]:
-    """What the intervals are made of, and which combinations of the numbers are known how well."""
+    """What the intervals include, and how well combinations of the numbers are known."""
     parts, rough = list(result.notes), result.target.roughness
     if rough > 1.0:
         times = f"{rough:.2g} times the stated noise"
-        parts.append(f"The measured heights scatter about their neighbours by {times}: so much noise is counted.")
+        parts.append(f"The measured heights scatter about their neighbours by {times}, which is used instead.")
     if len(result.combinations) > 1:
         words = {True: "**Identifiable**", False: "**Not identifiable**"}
         known = [f"- {words[mixed.identifiable]}: {mix(mixed, ',')}." for mixed in result.combinations]
@@ -325,21 +325,21 @@ def uncertainty(result: Result) -> list[str]:
 
 
 def finer(result: Result) -> str:
-    """The cells whose error would be the noise's, where that of the scene's is larger, and their price.
+    """The cell size whose error would equal the noise, and its cost; empty unless the scene's cells err more.
 
-    The error is that of the cell beyond the target's, 0 in nature; work grows by the power dimension + 1 of 1 / cell.
+    The error is proportional to the cell minus the target's, 0 in nature; work to (1 / cell)^(dimension + 1).
     """
     fit, cell, target_cell = result.answers[0].fit, result.problem.scene.domain.cell, result.target.cell or 0.0
     if fit is None or not 0.0 < LARGER * fit.noise < fit.cells or target_cell >= cell:
         return ""
     if (share := fit.cells / fit.noise) > FINEST:
-        return f"finer cells first: the error of the cells is {share:.2g} times the noise, and falls with the cells"
+        return f"finer cells first: the error of the cells is {share:.2g} times the noise, and falls with the cell size"
     enough = target_cell + (cell - target_cell) / share
     times = (cell / enough) ** (result.problem.scene.dimension + 1)
     seconds = float(np.mean([check.seconds for check in result.answers[0].checks]))
-    price = f", {times * seconds:.2g} s instead of {seconds:.2g} s a run" if seconds > 0.0 else ""
+    price = f", {times * seconds:.2g} s instead of {seconds:.2g} s per run" if seconds > 0.0 else ""
     return (
-        f"finer cells first: the error of the cells is {share:.2g} times the noise, as large as it on cells of "
+        f"finer cells first: the error of the cells is {share:.2g} times the noise; both would be equal on cells of "
         f"{enough:.2g} m ({times:.2g} times the work{price})"
     )
 
@@ -352,7 +352,7 @@ def heavy(combination: Combination) -> list[str]:
 
 
 def mix(combination: Combination, comma: str = "") -> str:
-    """A combination in words: which parameters go up, which go down with them, and how well it is known."""
+    """A combination in words: which parameters increase, which decrease with them, and its half-width."""
     weights, names = combination.weights, heavy(combination)
     up = " and ".join(f"`{name}`" for name in names if weights[name] > 0.0)
     down = " and ".join(f"`{name}`" for name in names if weights[name] <= 0.0)

@@ -1,10 +1,10 @@
-"""The fit, number by number: what was observed beside what the posterior predicts, as a table.
+"""The fit, number by number: a table of observations and of the posterior's predictions.
 
     e_i = (y_i - median_i) / s_i,    s_i^2 = p_i^2 + n_i^2
 
-p is the standard deviation of what further flows would show without errors of measurement, n is the stated standard
-deviation of the measurement. Under robust noise the band includes the larger noise of a misread number, and e still
-uses the stated one, so that the number is named.
+p is the standard deviation of predicted further flows without measurement errors, n is the stated standard deviation of
+the measurement. Under robust noise the band includes the larger noise of a misread number, but e still uses the stated
+noise, so that the number is reported as an outlier.
 """
 
 from collections.abc import Sequence
@@ -19,26 +19,26 @@ from inverse.posterior import Matrix
 from inverse.posterior.posterior import Posterior
 from inverse.result import Result
 
-OUTLIER = 3.0  # standardised residual beyond which a number is named
-LISTED, WORST = 40, 10  # numbers of an observation that are all listed; of more the farthest off
+OUTLIER = 3.0  # standardised residual beyond which a number is an outlier
+LISTED, WORST = 40, 10  # an observation of more numbers than `LISTED` lists only the `WORST`
 NORMAL = 1.96  # half of a 95 % interval over the standard deviation
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Of one observation; each of shape [m], in its unit."""
+    """The residuals of one observation; each array of shape [m], in the observation's unit."""
 
     part: JointPart
     observed: Values
     noise: Values  # stated standard deviation
     median: Values
-    lower: Values  # of 2.5 %
-    upper: Values  # of 97.5 %
+    lower: Values  # quantile of 2.5 %
+    upper: Values  # quantile of 97.5 %
     standardised: Values  # e [-]
 
     @property
     def outliers(self) -> list[str]:
-        """The numbers that are off by more than `OUTLIER`, in words."""
+        """The numbers whose standardised residual exceeds `OUTLIER`, in words."""
         label, places = self.part.observation.places
         name, _, unit = label.rstrip("]").partition(" [")
         beyond = [pair for pair in zip(places, self.standardised, strict=True) if abs(pair[1]) > OUTLIER]
@@ -46,7 +46,7 @@ class Residuals:
 
     @property
     def rows(self) -> list[dict[str, str]]:
-        """Those of a table: all numbers, or those farthest off."""
+        """The rows of a table: all numbers, or the worst ones."""
         order = np.arange(len(self.observed))
         if len(order) > LISTED:
             order = np.sort(np.argsort(-np.abs(self.standardised))[:WORST])
@@ -65,7 +65,7 @@ class Residuals:
 
 
 def residuals(result: Result) -> list[Residuals]:
-    """Of every observation; none where there is no posterior, or where it is of some particles of a deposit."""
+    """The residuals of every observation; none without a posterior, or if it is of single particles of a deposit."""
     posterior, target = result.posterior, result.target
     if posterior is None or len(posterior.reduction.mean) != len(target.values):
         return []
@@ -82,7 +82,7 @@ def residuals(result: Result) -> list[Residuals]:
 
 
 def unmeasured(posterior: Posterior, points: Matrix) -> Values:
-    """p^2, the variance of what further flows at points [S, U] would show without errors of measurement, shape [M]."""
+    """p^2, the variance of further flows at points [S, U] without measurement errors, shape [M]."""
     reduction, (_, variance) = posterior.reduction, posterior.emulator.predict(points)
     inside = posterior.unmeasured + np.diag(variance.mean(axis=0)) + np.cov(posterior.emulator.mean(points).T)
     within = np.einsum("ir,rs,is->i", reduction.basis, inside, reduction.basis)

@@ -1,4 +1,4 @@
-"""The result of an inversion, and what `result.json` has of it."""
+"""The result of an inversion, and its form in `result.json`."""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from inverse.problem import Problem
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What an inversion found.
+    """The result of an inversion.
 
     >>> result = solve("friction-tall-42")
     >>> result.verdict, result.unknowns, result.interval
@@ -36,33 +36,33 @@ class Result:
     target: Target
     verdict: Verdict
     answers: tuple[Answer, ...]
-    """Every separate answer that the observation allows; those that the MPM confirms first, then by weight."""
+    """Every separate answer that the observation allows; confirmed answers first, then by weight."""
     forward: str
-    """What has the last word: "surrogate" or "MPM"."""
+    """The forward model that gives the final prediction: "surrogate" or "MPM"."""
     predicted: Values
-    """What it shows at the first answer, shape [m]; of a deposit by the surrogate, its own particles."""
+    """Its prediction of the observation at the first answer, shape [m]; a surrogate's deposit has its own particles."""
     deposit: NDArray[np.floating]
-    """Its deposit there [m], shape [N, D]."""
+    """Its deposit at the first answer [m], shape [N, D]."""
     iterations: Sequence[dict[str, Any]] = ()
-    """On the way there, as `result.json` has them: evaluations of the loss, waves of runs or Gauss-Newton steps."""
+    """Steps of the search, in the form of `result.json`: loss evaluations, waves of runs or Gauss-Newton steps."""
     mpm_runs: tuple[MpmRun, ...] = ()
     posterior: Posterior | None = None
-    """Of numbers, over the whole box."""
+    """Posterior of the unknown numbers over the whole box."""
     further: dict[str, float] = field(default_factory=dict)
-    """Where the answer is ambiguous: the measurements of a deposit that would decide most, with their information."""
+    """If the answer is ambiguous: the most decisive measurements of a deposit, with their information."""
     without: dict[str, dict[str, float]] = field(default_factory=dict)
     """Half-widths by name without each of several observations, and with all (`ALL_DATA`), from the same runs."""
     fields: tuple[FieldPosterior, ...] = ()
     notes: tuple[str, ...] = ()
-    """What else is to be known of the uncertainty, in sentences."""
+    """Notes on the uncertainty, in sentences."""
     surrogate: dict[str, Any] | None = None
-    """Whether a learned surrogate was asked, and why."""
+    """Whether a learned surrogate was used, and why."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """[s], of each part of the work, and `total`."""
+    """Duration [s] of each part of the work, and `total`."""
     record: dict[str, Any] = field(default_factory=dict)
     """Further keys of `result.json`."""
     command: str = field(default_factory=invocation)
-    """The command line that made it; empty where none did."""
+    """The command line that produced the result; empty if there was none."""
 
     @property
     def answer(self) -> Vector:
@@ -71,7 +71,7 @@ class Result:
 
     @property
     def unknowns(self) -> dict[str, float]:
-        """The median of the first answer's part of the posterior by name; of a field its mean over the body."""
+        """Name -> median of the first answer's part of the posterior; for a field, its mean over the body."""
         means = {unknown.name: unknown.average(unknown.arrays["mean"]) for unknown in self.fields}
         return self.problem.named(self.answer) | means
 
@@ -82,7 +82,7 @@ class Result:
 
     @property
     def interval(self) -> dict[str, list[float]]:
-        """Between which values each number lies at 95 %, within its bounds; of a field the mean of both."""
+        """Name -> ends of the 95 % interval, within the bounds; for a field, the means of both ends over the body."""
         ends = ("lower", "upper")
         of_fields = {unknown.name: [unknown.average(unknown.arrays[end]) for end in ends] for unknown in self.fields}
         return self.problem.named(self.answers[0].interval.T) | of_fields
@@ -98,13 +98,13 @@ class Result:
 
     @property
     def run_count(self) -> int:
-        """Every run of the MPM: of the search, at answers, on other cells, of a coarse surrogate, a twin's own flow."""
+        """Number of MPM runs: search, checks, other cells, coarse surrogate and the twin's own flow."""
         runs = len(self.mpm_runs) + self.record.get("coarse_runs", 0) + int(self.problem.target.twin)
         return int(self.record.get("flows", runs))
 
     @property
     def error_pct(self) -> dict[str, float]:
-        """Relative errors that are known: of each number in a twin experiment, of the front where the MPM ran."""
+        """Known relative errors: of each number in a twin experiment, and of the front if the MPM ran."""
         truth, values = self.target.truth or {}, self.problem.named(self.answer)
         errors = {name: 100.0 * abs(values[name] - true) / abs(true) for name, true in truth.items() if true != 0.0}
         if self.answers[0].checks and math.isfinite(self.target.front):
@@ -114,7 +114,7 @@ class Result:
 
     @property
     def scores(self) -> dict[str, dict[str, float]]:
-        """How well the deposit at the first answer covers each observation that has an area, by its name [-]."""
+        """Observation name -> scores of how well the deposit at the first answer covers its area [-]."""
         checks, count = self.answers[0].checks, len(self.deposit)
         volumes = checks[0].trajectory.volumes if checks else particle_volumes(self.problem.scene, count)
         parts = self.target.observation.parts
@@ -123,7 +123,7 @@ class Result:
 
     @property
     def remarks(self) -> list[str]:
-        """What must be known of the flow at the first answer (`mpm.output.outcome.caveats`), and whether it drains."""
+        """Caveats on the flow at the first answer (`mpm.output.outcome.caveats`), and whether it drains."""
         checks = self.answers[0].checks
         summary = checks[0].trajectory.summary if checks else {}
         return [*summary.get("remarks", []), *filter(None, [summary.get("drainage")])]
@@ -134,13 +134,13 @@ class Result:
 
     @property
     def samples(self) -> NDArray[np.float64]:
-        """Of the posterior, in the units of the parameters' names, shape [S, U]."""
+        """Samples of the posterior, in the units of the parameters' names, shape [S, U]."""
         assert self.posterior is not None, "an optimiser has no samples"
         return self.problem.box.at(self.posterior.samples.points)
 
     @cached_property
     def combinations(self) -> list[Combination]:
-        """The principal directions of the posterior, best known first, in fractions of the ranges."""
+        """The principal directions of the posterior, best constrained first, in fractions of the ranges."""
         if self.posterior is None:
             return []
         samples = self.posterior.samples

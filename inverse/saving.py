@@ -1,4 +1,4 @@
-"""Everything that a result leaves in a folder, and its posterior read again."""
+"""Writes all files of a result, and reads its posterior."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ def save(result: Result, folder: Path | str) -> None:
     if result.fields:
         arrays = {f"{k}_{key}": values for k, field in enumerate(result.fields) for key, values in field.saved.items()}
         write_npz(folder / "field.npz", arrays)
-        # Beside the problem `scene.toml` may be its own.
+        # In the problem's folder, `scene.toml` may be the problem's own scene.
         beside = folder.resolve() == result.problem.folder.resolve()
         write_scene(result.scene, folder / ("answer.toml" if beside else "scene.toml"))
     write_json(folder / "result.json", result.as_json())
@@ -41,7 +41,7 @@ def save(result: Result, folder: Path | str) -> None:
 
 
 def read_samples(path: Path) -> tuple[list[str], Matrix]:
-    """Names and samples [S, U] of a `posterior.npz`, drawn again to equal weights. Raises InputError."""
+    """Names and samples [S, U] of a `posterior.npz`, resampled to equal weights. Raises InputError."""
     arrays = read_arrays(path, "names", "samples", "weights", what="the posterior of validation.loop")
     with reading(path, "the posterior of validation.loop"):
         samples, weights = arrays["samples"].astype(float), arrays["weights"].astype(float)
@@ -53,10 +53,10 @@ def read_samples(path: Path) -> tuple[list[str], Matrix]:
 
 
 def known_of(result: Path, scene: Scene) -> tuple[list[str], Matrix, list[str]]:
-    """Names and samples [S, U] of the unknowns of a result that a scene has too, and what is to be said of it.
+    """Names and samples [S, U] of those unknowns of a result that a scene also has, and remarks on them.
 
-    result: its folder or `posterior.npz`. Raises InputError where the scene has none of them, or measures their angles
-    of friction in another way.
+    result: its folder or `posterior.npz`. Raises InputError if the scene has none of them, or measures their friction
+    angles in another way.
     """
     path = result if result.suffix == ".npz" else result / "posterior.npz"
     if not path.exists():
@@ -91,9 +91,9 @@ def known_of(result: Path, scene: Scene) -> tuple[list[str], Matrix, list[str]]:
 
 
 def in_scene(name: str, solids: Sequence[tuple[str | None, str]], scene: Scene) -> str:
-    """The name in `scene` of an unknown: that of a solid goes to the one of the same name, else the one of its kind.
+    """The name of an unknown in `scene`: a solid is matched to the one of the same name, else to the one of its kind.
 
-    solids: name and kind of each in the inversion. Raises InputError where the scene has none like it.
+    solids: name and kind of each solid in the inversion. Raises InputError if the scene has no matching solid.
     """
     number = re.match(r"solids\[(\d+)\]", name)
     if number is None or int(number[1]) >= len(solids):

@@ -1,4 +1,4 @@
-"""What stands in a problem's file: its sections as they are read from TOML, strictly."""
+"""The sections of a problem's file, read strictly from TOML."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -8,7 +8,7 @@ from datasets.errors import InputError, require
 from datasets.scene import Scene
 from datasets.schema import Bounds, Record
 
-MOST = 1_000_000  # of runs, draws and iterations: more would take years, and memory that no machine has
+MOST = 1_000_000  # largest number of runs, draws or iterations: more would take years, and too much memory
 
 
 def counted(least: int, most: int = MOST) -> Bounds:
@@ -17,55 +17,55 @@ def counted(least: int, most: int = MOST) -> Bounds:
 
 
 class ForwardModel(StrEnum):
-    """What predicts the observation."""
+    """The forward model, which predicts the observation."""
 
     GNS = "gns"
     """The surrogate, with its gradient."""
     MPM = "mpm"
-    """The MPM; gradients are those of an emulator of its runs."""
+    """The MPM, with the gradient of an emulator of its runs."""
     ADJOINT = "adjoint"
     """The MPM with the gradient of its adjoint."""
 
 
 class Derivatives(StrEnum):
-    """What gives the derivatives of the MPM with respect to unknown fields."""
+    """The method for derivatives of the MPM with respect to unknown fields."""
 
     ADJOINT = "adjoint"
-    """Its adjoint: exact, at one reverse pass for each combination of the numbers that matters. In long flows in 3D a
-    few particles make it noisy; more `seeds` average it."""
+    """The MPM's adjoint: exact, with one reverse pass for each relevant combination of the numbers. In long 3D flows a
+    few particles make it noisy; more `seeds` average the noise."""
     DIFFERENCES = "differences"
-    """Runs that each move along all principal directions of the prior, for each seed a few more than there are such
-    directions: little noise of a chaotic flow, and no more than these directions."""
+    """Runs that each move along all principal directions of the prior, for each seed a few more runs than directions:
+    less noise in a chaotic flow, but derivatives in these directions only."""
 
 
 class Surrogate(StrEnum):
-    """Which surrogate, if any, is asked besides the MPM."""
+    """The surrogate that is used in addition to the MPM."""
 
     AUTO = "auto"
-    """Where the flow, the unknowns and the observations are what it has learned, and it saves more than it costs."""
+    """The learned one, if it covers the flow, the unknowns and the observations, and saves more than it costs."""
     GNS = "gns"
-    """Always: an error where it cannot."""
+    """Always the learned one; an error if it does not apply."""
     COARSE = "coarse"
-    """The MPM on cells twice as large, at a sixteenth of the price in 3D: where a run takes minutes. Derivatives take
+    """The MPM on cells twice as large, at a sixteenth of the cost in 3D: for runs that take minutes. Derivatives use
     twice as many `seeds`."""
     NONE = "none"
-    """Never: the loop runs on the MPM alone."""
+    """None: the loop uses the MPM alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TargetSettings(Record):
-    """Where the observed numbers come from: the observations themselves unless this says otherwise."""
+    """The source of the observed numbers; by default the observations themselves."""
 
     twin: bool = False
-    """A twin experiment: the MPM makes the numbers, with stated noise drawn on them; nothing else is given."""
+    """A twin experiment: the MPM makes the numbers, to which drawn noise is added; no measurement is given."""
     seed: int = 1
-    """Seed of the jitter and the noise of the twin; another one than any of the inversion's."""
+    """Seed of the jitter and the noise of the twin, different from any seed of the inversion."""
     truth: dict[str, float] = field(default_factory=dict)
-    """Number -> its value in the twin; the scene's own where absent."""
+    """Number -> its value in the twin; default: the scene's value."""
     cell: float | None = None
-    """Cells of the twin [m], the scene's unless given: with others the answer has the error of the scene's cells."""
+    """Cell size of the twin [m], by default the scene's; with another size, the answer has the error of the cells."""
     trajectory: str | None = None
-    """A trajectory (NPZ) that was observed."""
+    """An observed trajectory (NPZ)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -76,11 +76,11 @@ class TargetSettings(Record):
 
     @property
     def measured(self) -> bool:
-        """Whether the observations bring their own numbers."""
+        """Whether the observations contain their own numbers."""
         return not self.twin and self.trajectory is None
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError for a twin that is a flow of the inversion's own, or on cells that do not fit."""
+        """Raise InputError for a twin with a jitter seed of the inversion, or on cells that do not fit."""
         if not self.twin:
             return
         other = self.seed >= 0 and self.seed != scene.seed
@@ -95,28 +95,28 @@ class TargetSettings(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class OptimiserSettings(Record):
-    """How the minimum of the misfit is looked for."""
+    """Settings of the search for the minimum of the misfit."""
 
     seed: Annotated[int, counted(0, 2**62)] = 0
-    """Of random numbers."""
+    """Seed of the random numbers."""
     max_iterations: Annotated[int, counted(1)] = 8
-    """Of fields: Gauss-Newton steps, at most."""
+    """For fields: largest number of Gauss-Newton steps."""
     derivatives: Derivatives = Derivatives.ADJOINT
-    """Of fields, by the MPM."""
+    """For fields: method for the derivatives of the MPM."""
     seeds: Annotated[int, counted(1)] = 4
-    """Of fields: jitter seeds over which predictions and their derivatives are averaged."""
+    """For fields: number of jitter seeds over which predictions and their derivatives are averaged."""
     ensemble: Annotated[int, counted(4)] = 24
-    """Of fields: runs that measure the scatter from jitter seed to jitter seed, and as many draws of the prior."""
+    """For fields: number of runs that measure the scatter between jitter seeds, and of draws from the prior."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopSettings(Record):
-    """What the MPM may spend (`validation.loop`)."""
+    """The budget of MPM runs (`validation.loop`)."""
 
     mpm_runs: Annotated[int | None, counted(1)] = None
-    """Most MPM runs that the loop may spend on the problem's cells, 40 and 12 for each unknown where absent; besides
-    come four on other cells where the target is no flow on the same, and those of a coarse surrogate."""
+    """Largest number of MPM runs on the problem's cells, by default 40 plus 12 for each unknown. Four runs on other
+    cells (unless the target is a flow on the same cells) and the runs of a coarse surrogate do not count."""
 
     def budget(self, unknowns: int) -> int:
-        """Most MPM runs for so many unknowns."""
+        """Largest number of MPM runs for so many unknowns."""
         return 40 + 12 * unknowns if self.mpm_runs is None else self.mpm_runs

@@ -1,4 +1,4 @@
-"""The target of an inversion: what the observations of a problem bring, or what a twin or an observed flow shows."""
+"""The target of an inversion: measured numbers of the observations, or those of a twin or of an observed flow."""
 
 import dataclasses
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from inverse.problem import Problem
 
 
 def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Target:
-    """The target of `problem`; `simulate` makes a twin's flow, its noise is drawn. Raises InputError."""
+    """The target of `problem`; `simulate` makes a twin's flow, to which drawn noise is added. Raises InputError."""
     if problem.target.measured:
         target = joined(problem.measured, part_names(problem))
         return dataclasses.replace(target, front=target.observation.front(target.values))
@@ -36,7 +36,7 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
         rng = np.random.default_rng(problem.target.seed)
         errors = target.errors.drawn(rng)
         if target.dof is not None:
-            # Student's t: a normal number over the root of a chi-square over its degrees of freedom.
+            # Student's t: a normal number divided by the root of (chi-square / its degrees of freedom).
             dof = np.minimum(target.dof, 1e9)
             errors = errors * np.sqrt(dof / rng.chisquare(dof))
         target = dataclasses.replace(target, values=target.values + errors)
@@ -46,7 +46,7 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
 
 
 def part_names(problem: Problem) -> list[str]:
-    """What reports call each observation; of two of one kind the second has a number."""
+    """The name of each observation in reports; a second observation of the same kind has a number."""
     kinds, names = [settings.kind for settings in problem.observations], []
     for index, settings in enumerate(problem.observations):
         before = kinds[:index].count(settings.kind)
@@ -55,7 +55,7 @@ def part_names(problem: Problem) -> list[str]:
 
 
 def read_run(problem: Problem) -> Trajectory:
-    """The observed trajectory of a file. Raises InputError, which names it."""
+    """The observed trajectory of a file. Raises InputError, which names the file."""
     path = problem.folder / str(problem.target.trajectory)
     run = Trajectory.load(path)
     with naming(path):

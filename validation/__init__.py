@@ -1,4 +1,4 @@
-"""Validation: the loop in which the MPM confirms or refuses an inversion, experiments, and benchmarks.
+"""Validation: the loop in which the MPM confirms or refuses an inversion; experiments; benchmarks.
 
 from inverse import plot
 from validation import solve

@@ -1,4 +1,4 @@
-"""`python -m validation.demo`: a tall column at a secret friction angle, found again from its front alone."""
+"""`python -m validation.demo`: a tall column with a secret friction angle, found again from its front alone."""
 
 import secrets
 import sys
@@ -15,14 +15,14 @@ ANGLES_DEG = (18.0, 42.0)  # range from which the friction angle is drawn
 def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path | None = None) -> None:
     """Draw a friction angle, let the MPM make a front with it, and find the angle again from that front.
 
-    Leaves OUT/result.json, OUT/report.md, pictures and OUT/mpm.
+    Writes OUT/result.json, OUT/report.md, pictures and OUT/mpm.
 
     Args:
         out: Folder for the results.
-        seed: Makes the angle repeatable; without it, the operating system's randomness draws it.
-        model: Weights of the surrogate; unless given, those that ship.
+        seed: Makes the angle repeatable; by default, the operating system's randomness draws it.
+        model: Weights of the surrogate; by default, the shipped ones.
     """
-    # Imported here: torch takes seconds to load, and help has no use for it.
+    # Imported here: torch takes seconds to load, and --help does not need it.
     from datasets.flow import measures
     from inverse.observations import FrontSettings
     from inverse.problem import read_problem
@@ -41,7 +41,7 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
     print(f"A column {scene.masses[0].size[0]} m long and {scene.masses[0].size[1]} m high ran to x = {front:.4f} m.")
     print("Which friction angle did it have? The front is all that the inversion is given.\n")
 
-    # From here on neither the angle nor its deposit is used, until the answer stands.
+    # From here on, neither the angle nor its deposit is used until the answer is found.
     (parameter,) = stated.numbers
     problem = replace(
         stated,

@@ -1,4 +1,4 @@
-"""One style for all plots, and how they get to disk."""
+"""A common style for all plots, and how they are written."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,11 +20,11 @@ DPI = 140
 def figure(
     path: Path, *, rows: int = 1, columns: int = 1, size: tuple[float, float] = (5.0, 3.6)
 ) -> Iterator[NDArray[Any]]:
-    """Axes of shape [rows, columns] to draw on; at the end the picture is written beside `path` and moved into it.
+    """Axes of shape [rows, columns] to draw on; at the end the picture is written beside `path` and moved there.
 
     size: of one pane [inch].
     """
-    # Loaded where something is drawn: `--help` of a command need not wait for it.
+    # Imported here: --help does not need it.
     import matplotlib
 
     matplotlib.use("Agg")

@@ -21,27 +21,27 @@ from datasets.geometry.surface import body_of, solids_of
 
 Floats = NDArray[np.floating]
 
-DIAMETER = 1.25  # of a drawn particle over the distance between particles at the start
+DIAMETER = 1.25  # diameter of a drawn particle over the initial particle spacing
 INK, STEEL, GROUND, FAINT = "#262626", "#8d9aa8", "#b5aa98", "#77736a"
 """Colours of the letters, of the baffles, of other solids and of the masses' outlines."""
 EYE = {2: (0.0, 0.0, 1.0), 3: (0.45, 0.55, 1.0)}
-"""From the flow to the eye, by dimension: in 3D x runs to the right and a little nearer, seen from above."""
-WIDTH, HEIGHT = 1600, 1200  # an image is at most this large [px]
+"""Direction from the flow to the eye, by dimension: in 3D x runs to the right and slightly nearer, seen from above."""
+WIDTH, HEIGHT = 1600, 1200  # largest size of an image [px]
 MARGIN = np.array([0.26, 0.24])
-"""Share of the image's width and height beside the flow, for axes, colour bar and time."""
+"""Share of the image's width and height for axes, colour bar and time."""
 BAR = {"vertical": True, "position_x": 0.91, "position_y": 0.2, "height": 0.55, "width": 0.05, "fmt": "%.3g"}
 LETTERS = {"color": INK, "title_font_size": 20, "label_font_size": 20}
 
 
 def require_recorded(trajectory: Trajectory, colour: Colour) -> None:
-    """Raise InputError where `trajectory` has not recorded what `colour` is to show."""
+    """Raise InputError if `trajectory` has not recorded the field that `colour` shows."""
     missing = colour in (Colour.PRESSURE, Colour.PLASTIC_STRAIN) and getattr(trajectory, colour) is None
     if missing or (colour is Colour.VELOCITY and FlowFields(trajectory).velocity(0) is None):
         raise InputError("expected a trajectory that recorded it, this one did not", key=colour)
 
 
 def write_picture(path: Path, trajectory: Trajectory, colour: Colour, frame: int) -> None:
-    """Draw `frame` into a PNG, coloured by what `require_recorded` admits. Raises WorkFailed without OpenGL."""
+    """Draw `frame` into a PNG, coloured by a field that `require_recorded` admits. Raises WorkFailed without OpenGL."""
     plotter = drawn(trajectory, colour, frame)
     try:
         with replacing(path) as part:
@@ -54,7 +54,7 @@ def drawn(trajectory: Trajectory, colour: Colour, frame: int) -> Any:
     """A plotter of pyvista with a frame in it; untyped, because the decorators of its methods hide their types."""
     meshes, scene = Meshes(trajectory), trajectory.scene
     corners = np.stack(extent(scene, trajectory.positions))
-    # Up to round numbers, as far apart as those on the axes.
+    # The picture ends at round numbers, multiples of the axis ticks.
     step = float(np.diff(MaxNLocator(8, steps=(1, 2, 5, 10)).tick_values(0.0, np.ptp(corners, axis=0).max()))[0])
     corners = step * np.stack([np.floor(corners[0] / step + 1e-6), np.ceil(corners[1] / step - 1e-6)])
     counts = np.rint(np.ptp(corners, axis=0) / step).astype(int) + 1
@@ -66,7 +66,7 @@ def drawn(trajectory: Trajectory, colour: Colour, frame: int) -> Any:
     scale = float(np.min((WIDTH, HEIGHT) * (1.0 - MARGIN) / extents))
     width, height = np.maximum(extents * scale / (1.0 - MARGIN), (WIDTH // 2, HEIGHT // 3)).astype(int).tolist()
     plotter = window(width, height)
-    # The flow is a little left of the middle, where the colour bar is.
+    # The flow is slightly off the middle, to leave room for the colour bar.
     focus, depth = corners.mean(axis=0) + (0.03 * width * right - 0.02 * height * up) / scale, np.ptp(corners)
     camera = plotter.camera
     camera.focal_point, camera.position, camera.up = tuple(focus), tuple(focus + 2.0 * depth * eye), (0.0, 1.0, 0.0)
@@ -83,19 +83,19 @@ def drawn(trajectory: Trajectory, colour: Colour, frame: int) -> Any:
     style = {"color": INK, "font_size": 20, "bold": False, "location": "outer", "ticks": "outside", "fmt": "%.3g"}
     sides = {"grid": "front" if flat else "back", "show_zaxis": not flat, "use_2d": flat}
     plotter.show_bounds(bounds=corners.T.ravel().tolist(), **sides, **labels, **style)
-    # The box is drawn level on a slope, too.
+    # On a slope, too, the box is drawn level.
     time = f"t = {trajectory.time[frame]:.3f} s" + (f"   slope {scene.slope_deg:g}°" if scene.slope_deg else "")
     plotter.add_text(time, position=(0.03, 0.93), viewport=True, font_size=12, color=INK)
     return plotter
 
 
 def window(width: int, height: int) -> Any:
-    """An empty plotter off-screen. Raises WorkFailed where nothing can be drawn."""
-    # What VTK tries before it finds a way to draw without a screen is of no interest.
+    """An empty off-screen plotter. Raises WorkFailed if drawing is impossible."""
+    # VTK's messages while it looks for a way to draw without a screen are suppressed.
     with pyvista.vtk_verbosity("off"):
         plotter: Any = pyvista.Plotter(off_screen=True, window_size=[width, height])
         plotter.render_window.Initialize()
-        # Without this VTK would draw into nothing and take the process with it.
+        # Without this check VTK would crash the process.
         if not plotter.render_window.IsCurrent():
             plotter.close()
             raise WorkFailed("expected OpenGL (EGL or OSMesa) to draw pictures with, this system has none")
@@ -154,7 +154,7 @@ def add_particles(plotter: Any, meshes: Meshes, colour: Colour, frame: int, scal
         style="points",
         render_points_as_spheres=True,
         point_size=max(2.0, DIAMETER * meshes.fields.spacing * scale),
-        # Shaded, but not so much that the colours could not be read.
+        # Shaded, but lightly, so that the colours can be read.
         ambient=0.35,
         diffuse=0.75,
         scalar_bar_args={"title": field.title, "n_labels": marks, **BAR, **LETTERS},

@@ -1,4 +1,4 @@
-"""MPM runs that stay on disk: each is a file that is found again by what was asked, so an interrupted command goes on.
+"""MPM runs stored on disk: each is a file identified by its inputs, so that an interrupted command can resume.
 
 A file is a trajectory (`datasets.flow.trajectory`), `LABELnn-DIGEST.npz`: the digest is that of the scene, the options
 of the run and the version of this package.
@@ -30,55 +30,55 @@ from mpm.resolution import particle_steps
 from mpm.simulation import LARGE
 
 SHARE = "share_s"
-"""In the summary of a stored run: its share of the wall time of all that ran beside it, compilation left out [s]."""
+"""In the summary of a stored run: its share of the wall time of all parallel runs, without compilation [s]."""
 
-WATER = "pore_pressure"  # a key of recordings that was not there from the start
+WATER = "pore_pressure"  # a key of recordings that was added later
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A run that is asked for."""
+    """A requested run."""
 
     scene: Scene
     precision: Precision = "f32"
-    record: Recording = LAST  # what is recorded: the last frame, a hundredth of the file, unless more is asked for
+    record: Recording = LAST  # what is recorded: by default the last frame, a hundredth of the whole file
 
     @property
     def digest(self) -> str:
-        """Of all that decides the result. What a scene leaves at its default is left out: new keys change nothing."""
+        """Digest of all inputs. Keys at their default are left out, so that new keys do not change it."""
         scene = [
             (field.name, getattr(self.scene, field.name))
             for field in dataclasses.fields(self.scene)
             if getattr(self.scene, field.name) != field.default
         ]
         record = [(field.name, getattr(self.record, field.name)) for field in dataclasses.fields(self.record)]
-        # Runs without fields keep the names under which they are on disk.
+        # Runs without fields keep their existing names on disk.
         record = [(key, value or [] if key == "fields" else value) for key, value in record if key != WATER or value]
         text = repr((__version__, sorted(scene), record, self.precision))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
     def kernel(self) -> tuple[bool, str, str]:
-        """What is recorded and the kernel that it needs; a large run, which takes all threads, last."""
+        """The recording and the kernel that it needs; large runs, which use all threads, sort last."""
         features = features_of([self.scene], self.precision, record=self.record)
         return particle_count(self.scene) >= LARGE, repr(self.record), repr(features)
 
 
 @contextmanager
 def kept(folder: Path | str | None) -> Iterator[Path]:
-    """The folder of finished work, held for this process, or a temporary one."""
+    """The folder of finished work, locked for this process, or a temporary folder."""
     with TemporaryDirectory() if folder is None else locked(Path(folder)) as place:
         yield Path(place)
 
 
 def caveats(flows: Sequence[Trajectory]) -> list[str]:
-    """In a line what the summaries of flows say a user must know, if any does."""
+    """One line with the caveats in the summaries of flows, if there are any."""
     said = [line for flow in flows for line in flow.summary.get("remarks", [])[:1]]
     return [f"{len(said)} of {len(flows)} flows, such as: {said[0]}"] if said else []
 
 
 class RunStore:
-    """The MPM, with every run kept in `folder`. Called with scenes, it stands in for `mpm.simulate_many`."""
+    """The MPM with every run stored in `folder`. Called with scenes, it replaces `mpm.simulate_many`."""
 
     def __init__(
         self,
@@ -88,20 +88,20 @@ class RunStore:
         label: str = "",
         reduce: Callable[[Trajectory], Trajectory] = lambda flow: flow,
     ) -> None:
-        """label: what the names of new files begin with, before their number; reduce: to what of a flow is kept."""
+        """label: prefix of the names of new files, before their number; reduce: flow -> the part that is stored."""
         self.folder, self.simulate, self.label, self.reduce = folder, simulate, label, reduce
         self.width: Callable[[], int] = getattr(simulate, "width", lambda: 2 * processors())
-        """How many runs are handed out at a time."""
+        """The number of runs started at a time."""
 
     def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
-        """The trajectory of each scene; errors as `run`."""
+        """The trajectory of each scene; errors as in `run`."""
         return self.run([Run(scene=scene, record=record) for scene in scenes])
 
     def run(self, runs: Sequence[Run]) -> list[Trajectory]:
-        """The trajectory of each of `runs`; those that `folder` lacks are made first, some side by side.
+        """The trajectory of each of `runs`; missing ones are computed first, some in parallel.
 
-        Runs that need the same kernel follow one another, cheap ones first. Raises ScenesFailed where some of those
-        that run side by side fail, once the others of them are stored.
+        Runs that need the same kernel follow each other, cheap ones first. Raises ScenesFailed if some parallel runs
+        fail, after the others are stored.
         """
         trajectories = {run: self._load(run) for run in dict.fromkeys(runs)}
         missing = [run for run, trajectory in trajectories.items() if trajectory is None]
@@ -117,20 +117,20 @@ class RunStore:
         return [trajectory for run in runs if (trajectory := trajectories[run]) is not None]
 
     def path(self, run: Run) -> Path:
-        """Where a run lies, or will."""
+        """The file of a run, which may not exist yet."""
         number = 1 + len(list(self.folder.glob(f"{self.label}[0-9]*.npz")))
         new = self.folder / f"{self.label}{number:02d}-{run.digest}.npz"
         return min(self.folder.glob(f"*-{run.digest}.npz"), default=new)
 
     def _load(self, run: Run) -> Trajectory | None:
-        """The stored run; None where there is none, or a broken file."""
+        """The stored run; None if there is none or its file is broken."""
         try:
             return Trajectory.load(self.path(run))
         except InputError:
             return None
 
     def _make(self, batch: Sequence[Run]) -> list[Trajectory]:
-        """Run and store runs that differ in their scenes alone."""
+        """Compute and store runs that differ only in their scenes."""
         began = time.perf_counter()
         chosen = {} if batch[0].precision == Run.precision else {"precision": batch[0].precision}
         failed: ScenesFailed | None = None

@@ -19,8 +19,8 @@ COMMANDS = {
     "adapt": ("inverse.adapt:main", "train a surrogate for one inverse problem"),
     "invert": ("inverse.__main__:main", "solve an inverse problem with one forward model"),
     "solve": ("validation.loop.__main__:main", "solve an inverse problem; the MPM confirms the answer"),
-    "design": ("validation.design.__main__:main", "find where barriers stand so that a limit is kept"),
-    "forecast": ("validation.forecast.__main__:main", "carry the answer of an inversion to another scene"),
+    "design": ("validation.design.__main__:main", "find a barrier design that keeps a limit"),
+    "forecast": ("validation.forecast.__main__:main", "predict another scene with the result of an inversion"),
     "view": ("validation.view:command", "write one or two flows as an HTML page"),
     "vtk": ("validation.vtk:command", "convert a flow for ParaView, draw a picture"),
     "compare": ("datasets.compare:command", "compare two flows: fronts, profiles, energies"),
@@ -28,10 +28,10 @@ COMMANDS = {
     "forces": ("datasets.forces:command", "write the force on each solid over time"),
     "exchange": ("datasets.exchange.__main__:command", "convert datasets to and from the format of another code"),
     "demo": ("validation.demo:main", "find a secret friction angle from the front of a deposit"),
-    "bench": ("validation.bench.__main__:PAGES", "measure again what a page of the documentation shows"),
-    "scenes": ("validation.talus:scenes", "list the scenes that ship"),
-    "problems": ("validation.talus:problems", "list the inverse problems that ship"),
-    "designs": ("validation.talus:designs", "list the design problems that ship"),
+    "bench": ("validation.bench.__main__:PAGES", "repeat the measurements of a documentation page"),
+    "scenes": ("validation.talus:scenes", "list the shipped scenes"),
+    "problems": ("validation.talus:problems", "list the shipped inverse problems"),
+    "designs": ("validation.talus:designs", "list the shipped design problems"),
 }
 PROBLEMS = Path(__file__).parents[1] / "inverse" / "problems"
 DESIGNS = Path(__file__).parent / "design" / "problems"
@@ -39,17 +39,17 @@ SENTENCE = re.compile(r"(?<=[.?]) (?=[^a-z])")  # between two sentences
 
 
 def scenes() -> str:
-    """List the scenes that ship: name, dimension, what it is."""
+    """List the shipped scenes: name, dimension, description."""
     return listed(SCENES)
 
 
 def problems() -> str:
-    """List the inverse problems that ship: name, dimension, what is to be found."""
+    """List the shipped inverse problems: name, dimension, unknowns."""
     return listed(PROBLEMS)
 
 
 def designs() -> str:
-    """List the design problems that ship: name, dimension, what is to be found."""
+    """List the shipped design problems: name, dimension, design."""
     return listed(DESIGNS)
 
 
@@ -69,7 +69,7 @@ def listed(folder: Path) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command that is named on the command line, and return its exit status."""
+    """Run the command named on the command line, and return its exit status."""
     return run(COMMANDS, "talus", arguments)
 
 

@@ -8,15 +8,15 @@ from datasets.command_line import run
 from datasets.errors import InputError, naming
 from datasets.files import read_json, reading
 
-FIELDS = ("velocities", "pressure", "plastic_strain", "pore_pressure")  # recorded ones that the page can show
-TARGETS = "mpm/target-*.npz"  # where `validation.loop` leaves the flow of a twin experiment
+FIELDS = ("velocities", "pressure", "plastic_strain", "pore_pressure")  # recorded fields that the page can show
+TARGETS = "mpm/target-*.npz"  # file in which `validation.loop` stores the flow of a twin experiment
 
 
 def source_of(path: Path) -> tuple[Path, str, dict[str, Any]]:
-    """File and name of the flow at a path, and what was observed of it (`datasets.exchange.page.Observed`).
+    """File and name of the flow at a path, and its observations (`datasets.exchange.page.Observed`).
 
-    At a path: a trajectory, the folder of a run, or of an inversion the MPM's run at its first answer. Raises
-    InputError.
+    The path is a trajectory, the folder of a run, or the folder of an inversion, for the MPM run at its first answer.
+    Raises InputError.
     """
     from datasets.flow.trajectory import trajectory_file
 
@@ -29,7 +29,7 @@ def source_of(path: Path) -> tuple[Path, str, dict[str, Any]]:
         checks = [mpm_run for mpm_run in runs if mpm_run["purpose"] == "check"] or runs
         if not checks:
             raise InputError("expected a run of the MPM, this result has none", key="mpm_runs")
-        # One of the first answer.
+        # Prefer a run at the first answer.
         best = min(checks, key=lambda mpm_run: (mpm_run["unknowns"] != record["unknowns"], mpm_run["loss"] or 0.0))
         seen = record["observation"]
         profile = {key: [float(value) for value in seen.get("profile", {}).get(key, ())] for key in ("x", "height")}
@@ -38,15 +38,15 @@ def source_of(path: Path) -> tuple[Path, str, dict[str, Any]]:
 
 
 def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None) -> None:
-    """Write a flow, or two over each other, as one HTML page; it opens from disk, without a network.
+    """Write a flow, or two flows superimposed, as one HTML page, which opens from disk, without a network.
 
     Args:
-        flow: A trajectory (NPZ or HDF5), the folder of a run that holds one, or the folder of validation.loop: the
-            MPM's run at its answer over what was observed.
-        other: A flow to draw over it: the surrogate's, the target's, one of another angle.
-        out: The page to write; view.html in the folder of FLOW unless given.
+        flow: A trajectory (NPZ or HDF5), the folder of a run that holds one, or the folder of validation.loop: then the
+            MPM run at its answer, with the observations.
+        other: A flow to draw over it, such as the surrogate's, the target's or one with another angle.
+        out: The page to write; default: view.html in the folder of FLOW.
     """
-    # Imported here: --help needs neither the pictures' libraries nor the solids'.
+    # Imported here: --help does not need the libraries for pictures and solids.
     from datasets.compare import labels_of
     from datasets.exchange.page import Observed, write_view
     from datasets.flow.trajectory import open_trajectory

@@ -1,4 +1,4 @@
-"""python -m validation.vtk TRAJECTORY --out DIR: a trajectory for ParaView, and a frame of it as a picture."""
+"""python -m validation.vtk TRAJECTORY --out DIR: converts a trajectory for ParaView, and draws one of its frames."""
 
 import sys
 from pathlib import Path
@@ -20,15 +20,15 @@ def command(
     colour: Literal["velocity", "displacement", "pressure", "plastic_strain", "material"] = "displacement",
     time: float | None = None,
 ) -> None:
-    """Write a trajectory for ParaView; leaves OUT/trajectory.pvd, a series of VTK files.
+    """Convert a trajectory for ParaView into OUT/trajectory.pvd, a series of VTK files.
 
     Args:
         trajectory: A trajectory (NPZ), or the folder of a run that holds one.
         out: Folder for the results.
-        picture: Draw a frame, too: OUT/picture.png.
+        picture: Also draw a frame: OUT/picture.png.
         frames: Write every n-th frame, and always the last one.
-        colour: What the colours of the picture show.
-        time: Time of the picture [s], to the nearest frame; the end, unless given.
+        colour: Quantity that the colours of the picture show.
+        time: Time of the picture [s], to the nearest frame; default: the end.
     """
     from datasets.exchange.vtk import SERIES, frames_of, write_vtk
     from datasets.flow.fields import Colour

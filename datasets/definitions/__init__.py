@@ -1,4 +1,4 @@
-"""What datasets consist of, in TOML: families of kinds of scenes, or one scene of distributions; by name or path."""
+"""Definitions of datasets in TOML: families of kinds of scenes, or one scene of distributions; by name or path."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from datasets.definitions.distributions import definition_from_file
 from datasets.errors import InputError
 
 FAMILIES = ("flow2d", "columns2d", "obstacle3d", "baffles3d", "terrain3d")
-NAMES = (*FAMILIES, "paper2d", "paper3d")  # of the definitions that ship
+NAMES = (*FAMILIES, "paper2d", "paper3d")  # of the shipped definitions
 
 
 def read_definition(name: str | Path) -> Definition:
@@ -15,7 +15,7 @@ def read_definition(name: str | Path) -> Definition:
     name = str(name)
     shipped = Path(__file__).parent / f"{name}.toml"
     if name in FAMILIES:
-        # With the libraries of geometry, which tell what a scene must not resemble.
+        # Imported here, with the geometry libraries that check similarity to held-out scenes.
         from datasets.definitions.families import family
 
         return family(shipped)

@@ -1,4 +1,4 @@
-"""Definition: what a dataset consists of, scene by scene, before anything is simulated."""
+"""Definition: the contents of a dataset, scene by scene, before anything is simulated."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,12 +35,12 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Storage:
-    """What is stored of a trajectory that is computed more finely than it is learned."""
+    """The stored part of a trajectory that is computed more finely than it is learned."""
 
     cell: float
     """Edge of the cells in which particles are chosen at random [m]."""
     kept: int
-    """Particles that stay of each such cell; they get the volume of all (`datasets.definitions.training.thin`)."""
+    """Number of particles kept in each such cell; they get its total volume (`datasets.definitions.training.thin`)."""
     deposit: bool = False
     """Whether simulations last to the end of their scenes, and their last frames, with all particles, are stored in
     `DEPOSITS` too: what an inversion compares with its target."""
@@ -48,7 +48,7 @@ class Storage:
 
 @dataclass(frozen=True, kw_only=True)
 class Definition:
-    """A family of scenes, numbered from 0, and how they are divided."""
+    """A family of scenes, numbered from 0, and their split."""
 
     name: str
     size: int
@@ -60,10 +60,10 @@ class Definition:
     stream: Callable[[int], int] = int
     """Number of a scene -> number of its random stream; scenes that share one can be variants of each other."""
     storage: Storage | None = None
-    """Where given, simulations end when their deposits rest, unless it says otherwise, and some of their particles are
-    stored; else all are."""
+    """If given, simulations end when their deposits rest, unless it says otherwise, and only some particles are stored;
+    else all are."""
     kinds: tuple[str, ...] = ()
-    """Of a family the names of its kinds of scenes, in the order in which they come, again and again."""
+    """For a family, the names of its kinds of scenes, in their repeating order."""
 
     def entries(self, *, seed: int, count: int | None = None) -> tuple[Entry, ...]:
         """The first `count` scenes of the dataset of `seed`, or all. Scene `index` draws from the stream `[seed,

@@ -21,10 +21,10 @@ Key = tuple[int | str, ...]
 Draws = dict[str, Any]
 
 LARGEST, LEAST_STEP = 1.0e15, 1.0e-15  # of a number of a distribution; of a step over the range
-MOST_COPIES = 4096  # of a mass or a baffle
+MOST_COPIES = 4096  # largest `count` of a mass or a baffle
 TRIES = 1000
 """Draws of a scene before the definition is refused: the chance of a valid one is then below one in a hundred."""
-MANY = 20  # bodies and solids of a scene above which the draws are fewer in proportion: each takes its time
+MANY = 20  # bodies and solids of a scene above which the draws are proportionally fewer, because each takes time
 MOST_SCENES = 1_000_000  # of a dataset
 NAME = re.compile(r"[A-Za-z][\w-]{0,60}", re.ASCII)
 PAIRS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
@@ -33,10 +33,10 @@ PAIRS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
     "normal": ("two numbers, the mean and a deviation of at least 0", lambda _, deviation: deviation >= 0),
     "integer": ("two whole numbers, the smaller first", lambda a, b: type(a) is type(b) is int and a <= b),
 }
-"""Distributions of two numbers: what these must be."""
+"""Distribution of two numbers -> their description and check."""
 OPTIONS = {name: set[str]() for name in PAIRS}
 OPTIONS |= {"uniform": {"step"}, "choice": {"weights"}, "variable": {"factor", "offset"}}
-"""Distributions and the keys that may stand beside them."""
+"""Distribution -> its optional keys."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,19 +44,19 @@ class DefinitionFile(Record):
     """The keys of a definition in TOML."""
 
     scene: dict[str, Any]
-    """A scene (`datasets.scene`), numbers of which may be distributions; masses and baffles may have a `count`."""
+    """A scene (`datasets.scene`), whose numbers may be distributions; masses and baffles may have a `count`."""
     variables: dict[str, Any] = field(default_factory=dict)
-    """Values that more than one key of a scene depends on."""
+    """Values on which more than one key of a scene depends."""
     count: Annotated[int, Bounds(f"at least 1, at most {MOST_SCENES} scenes", ge=1, le=MOST_SCENES)] = 100
     """Number of scenes in the whole dataset."""
     split_period: Annotated[int, Bounds("at least 3", ge=3)] = 10
-    """Of so many scenes, the second is for validation and the third for the test."""
+    """In each group of so many scenes, the second is for validation and the third for the test."""
     baffle_gap: Annotated[float, Bounds("a length of at least 0 m", ge=0.0)] = 0.0
     """Least distance of a baffle from other baffles and from masses along some axis [m]."""
 
 
 def definition_from_file(path: Path) -> Definition:
-    """The definition in the TOML file at `path`, named as the file is. Raises InputError."""
+    """The definition in the TOML file at `path`, with the name of the file. Raises InputError."""
     expected = "a file name of letters, digits, - and _, which names the trajectories"
     require(NAME.fullmatch(path.stem) is not None, "", expected, where=str(path))
     with naming(path):
@@ -66,7 +66,7 @@ def definition_from_file(path: Path) -> Definition:
         with naming(path):
             return draw_scene(content, stream, path.parent)
 
-    # A mistake is found before anything is simulated.
+    # A trial draw finds errors before anything is simulated.
     draw(np.random.default_rng([0, 0]), 0)
     return Definition(
         name=path.stem,
@@ -77,8 +77,8 @@ def definition_from_file(path: Path) -> Definition:
 
 
 def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Path) -> Scene:
-    """A scene that can be simulated: a draw that cannot be is drawn again, up to `TRIES` times, less often of more than
-    `MANY` bodies. Raises InputError, that of the last draw."""
+    """A scene that can be simulated: an invalid draw is repeated, up to `TRIES` times, less often for more than `MANY`
+    bodies. Raises the InputError of the last draw."""
     tries, bodies = 0, 0
     while bodies < TRIES * MANY:
         variables = {name: drawn(value, stream, {}, ("variables", name)) for name, value in content.variables.items()}
@@ -155,17 +155,17 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
 
 
 def usable(number: Any) -> bool:
-    """Whether a value of a TOML is a number that a distribution may have."""
+    """Whether a TOML value is a number allowed in a distribution."""
     return type(number) in (int, float) and abs(number) <= LARGEST
 
 
 def rounded(value: float) -> float:
-    """A length of a lattice without the last bits that a product adds: whole cells stay whole."""
+    """A length of a lattice without the rounding of a product, so that whole cells stay whole."""
     return round(float(value), 12)
 
 
 def check_gaps(scene: Scene, gap: float) -> None:
-    """Raise InputError where a baffle is nearer than `gap` [m] to another or to a mass, along every axis."""
+    """Raise InputError if a baffle is nearer than `gap` [m] to another or to a mass along every axis."""
     for (_, a), (name, b) in combinations(keyed(scene, "masses", "baffles").items(), 2):
         low, size, other, other_size = (np.array(vector) for vector in (a.lower, a.size, b.lower, b.size))
         distance = float(np.maximum(low - other - other_size, other - low - size).max())

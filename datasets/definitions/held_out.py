@@ -1,9 +1,9 @@
-"""Held-out shapes: which training scenes would be too close to one that ships.
+"""Held-out shapes: training scenes that would be too close to a shipped scene.
 
 Two scenes are neighbours if, in units of the released body's own length and measured from its lower corner, every
 corner of every mass and baffle of the one lies within `MARGIN` of the same corner of the other, mirrored or not, and
-the masses are as close to the box's sides or not in contact with them either. Of a turned baffle the corners are those
-of the box around it. Angles, velocities and friction do not count: a neighbour is excluded at every material.
+their masses touch the same sides of the box. For a turned baffle, the corners are those of the box around it. Angles,
+velocities and friction do not count: a neighbour is excluded with any material.
 """
 
 import dataclasses
@@ -20,14 +20,14 @@ from datasets.scene.library import SCENES, read_scene
 from datasets.scene.particles import released_volume
 
 MARGIN = 0.06  # distance of corners within which two scenes are neighbours, over the length of the body [-]
-GAPS = 0.06  # share of a box that masses may leave empty to count as one [-]
+GAPS = 0.06  # share of a box that masses may leave empty and still count as one mass [-]
 ASPECTS = (0.5, 0.8, 1.0, 2.0, 3.0)
-"""Height over length of columns at a wall that are kept for tests of generalisation, beside the scenes that ship."""
-ASPECT_MARGIN = 0.04  # relative distance from these within which a column at a wall is their neighbour [-]
+"""Height over length of columns at a wall that are reserved for tests of generalisation, besides the shipped scenes."""
+ASPECT_MARGIN = 0.04  # relative distance from these within which a column at a wall counts as a neighbour [-]
 
 
 def is_held_out(scene: Scene) -> bool:
-    """Whether `scene` is a neighbour of a scene that ships, or a column of a held-out aspect at a wall."""
+    """Whether `scene` is a neighbour of a shipped scene, or a column at a wall with a held-out aspect ratio."""
     scene = joined(scene)
     mass = scene.masses[0]
     if len(scene.masses) == 1 and scene.dimension == 2 and mass.kind == "box" and touches(scene).any():
@@ -38,7 +38,7 @@ def is_held_out(scene: Scene) -> bool:
 
 
 def joined(scene: Scene) -> Scene:
-    """The scene, its masses as one where they are boxes of one sand at rest that fill a box: layers in name only."""
+    """The scene, with its masses merged if they are boxes of one sand at rest that together fill a box."""
     masses = scene.masses
     alike = len({scene.material_of(mass) for mass in masses}) == 1 and not any(mass.velocity for mass in masses)
     if len(masses) == 1 or not alike or any(mass.kind != "box" for mass in masses):
@@ -53,7 +53,7 @@ def joined(scene: Scene) -> Scene:
 
 @cache
 def shipped(dimension: int) -> tuple[Scene, ...]:
-    """The scenes that ship, of a dimension."""
+    """The shipped scenes of a dimension."""
     scenes = (read_scene(path.stem) for path in sorted(SCENES.glob("*.toml")))
     return tuple(scene for scene in scenes if scene.dimension == dimension)
 
@@ -75,8 +75,8 @@ def matched(mine: Floats, theirs: Floats) -> bool:
 
 
 def images(scene: Scene) -> Iterator[tuple[list[Floats], NDArray[np.bool_]]]:
-    """A scene and its mirror images along x and, in 3D, z and both: the boxes of masses and of baffles [-], [K, 2, D],
-    over the body's length and from its lower corner on; which sides the masses touch [H, 2]."""
+    """A scene and its mirror images along x and, in 3D, z and both: the boxes of masses and of baffles, [K, 2, D], over
+    the body's length and from its lower corner [-]; and which sides the masses touch [H, 2]."""
     unit = released_volume(scene) ** (1.0 / scene.dimension)
     level, contact = plan_axes(scene.dimension), touches(scene)
     for flips in product((False, True), repeat=len(level)):
@@ -92,7 +92,7 @@ def images(scene: Scene) -> Iterator[tuple[list[Floats], NDArray[np.bool_]]]:
 
 
 def boxes(group: tuple[Mass, ...] | tuple[Baffle, ...], dimension: int) -> Floats:
-    """Lower and upper corner of each [m], of a turned baffle those of the box around it; shape [K, 2, D]."""
+    """Lower and upper corner of each [m], for a turned baffle of the box around it; shape [K, 2, D]."""
     lower, size = (np.array([getattr(body, key) for body in group]).reshape(-1, dimension) for key in ("lower", "size"))
     turn = np.radians([getattr(body, "turned_deg", 0.0) for body in group])
     plane = [0, dimension - 1]
@@ -104,7 +104,7 @@ def boxes(group: tuple[Mass, ...] | tuple[Baffle, ...], dimension: int) -> Float
 
 
 def touches(scene: Scene) -> NDArray[np.bool_]:
-    """Whether any mass leans on the lower and on the upper side of the box along x and, in 3D, z; shape [H, 2]."""
+    """Whether any mass touches the lower and the upper side of the box along x and, in 3D, z; shape [H, 2]."""
     slack, level = 0.5 * scene.domain.cell, plan_axes(scene.dimension)
     lower, upper = np.moveaxis(boxes(scene.masses, scene.dimension)[..., level], 1, 0)
     highest = np.array(scene.domain.size)[level] - slack

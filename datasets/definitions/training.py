@@ -1,13 +1,13 @@
-"""What is learned of trajectories: which particles a surrogate follows, and how a dataset moves.
+"""Training data from trajectories: the particles that a surrogate follows, and the motion statistics of a dataset.
 
 With the positions x_t of a particle in frame t, per axis and with one frame as the unit of time:
 
     velocity      v_t = x_t - x_(t-1)
     acceleration  a_t = v_(t+1) - v_t
 
-What counts in their statistics is moving particles only: a velocity where the particle moved in that step faster than
-`MOVING_SPEED`, an acceleration where it did so before or after. Most particles of most frames lie still in a settled
-deposit; counting them would shrink the spread by how long the sequence was watched, not by how the sand flows.
+Their statistics cover only moving particles: a velocity counts if the particle moved faster than `MOVING_SPEED` in that
+step, an acceleration if it did so before or after. Most particles of most frames lie still in a settled deposit; if
+they counted, the spread would depend on the duration of the sequence rather than on the flow.
 """
 
 from collections.abc import Sequence
@@ -27,17 +27,17 @@ MOVING_SPEED = 0.01
 def thin(
     positions: NDArray[np.floating], volume: float | NDArray[np.floating], *, cell: float, kept: int, rng: Stream
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Keep at random `kept` particles of each cell [m], those of more volume so much more often; they share its volume.
-    positions: [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N]. Two draws from `rng` keep
-    others of the same flow, which augments the training data. Returns the indices of those that stay, ascending, and
-    the volume that each stands for [m^D], both of shape [n]."""
+    """Keep `kept` random particles of each cell [m], with probability proportional to volume; they share its volume.
+    positions: [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N]. Another draw from `rng`
+    keeps others of the same flow, which augments the training data. Returns the indices of kept particles, ascending,
+    and the volume that each represents [m^D], both of shape [n]."""
     cells = np.floor(positions.astype(np.float64) / cell).astype(np.int64)
     cells -= cells.min(axis=0)
     group = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
     weight = np.broadcast_to(np.asarray(volume, np.float64), len(group))
     equal = bool((weight == weight[:1]).all())
-    # The first of a cell is each of its particles with a probability in proportion to its volume: these are small at
-    # the surface of a body, from which fronts come, and alike often chosen they would be too many there.
+    # Each particle of a cell comes first with a probability proportional to its volume. Particles at the surface of a
+    # body, which form the fronts, are small; with equal probabilities too many of them would be chosen.
     shuffled = rng.permutation(len(group)) if equal else np.argsort(rng.exponential(size=len(group)) / weight)
     order = shuffled[np.argsort(group[shuffled], kind="stable")]
     _, first, count = np.unique(group[order], return_index=True, return_counts=True)
@@ -50,7 +50,7 @@ def thin(
 
 @dataclass(frozen=True, kw_only=True)
 class MotionStatistics:
-    """Moments of v_t [m per frame] and of a_t [m per frame^2]; those of two parts add up to those of both."""
+    """Moments of v_t [m per frame] and of a_t [m per frame^2]; moments of two parts can be added."""
 
     count: NDArray[np.int64]  # samples of v_t and of a_t, shape [2, 1]
     mean: NDArray[np.float64]  # mean per axis, shape [2, D]
@@ -65,7 +65,7 @@ class MotionStatistics:
         return MotionStatistics(count=count, mean=np.array(mean), squares=np.array(squares))
 
     def __add__(self, other: "MotionStatistics") -> "MotionStatistics":
-        """Pairwise update of Chan, Golub and LeVeque (1983): nothing cancels, whatever the sizes of the parts."""
+        """Pairwise update of Chan, Golub and LeVeque (1983), without cancellation for any sizes of the parts."""
         count = self.count + other.count
         shift, either = other.mean - self.mean, np.maximum(count, 1)
         mean = self.mean + shift * (other.count / either)
@@ -88,8 +88,8 @@ def motion_statistics(positions: NDArray[np.floating], frame_dt: float) -> Motio
 
 
 def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistics: MotionStatistics) -> dict[str, Any]:
-    """The contents of `metadata.json` for a dataset of `entries`, which share the time between frames; what differs
-    between scenes is [smallest, largest]. seed: where it was drawn; statistics: of the split of the first entry."""
+    """The contents of `metadata.json` for a dataset of `entries`, which share the time between frames; values that
+    differ between scenes are [smallest, largest]. seed: if it was drawn; statistics: of the first entry's split."""
     scenes = [entry.scene for entry in entries]
     scene = scenes[0]
     materials = [asdict(member.material) for member in scenes]
@@ -130,7 +130,7 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
 
 
 def extremes(values: Sequence[Any]) -> Any:
-    """The value that all have, else the smallest and the largest of those that are numbers."""
+    """The common value of all, else the smallest and the largest of the numbers."""
     if all(value == values[0] for value in values):
         return values[0]
     numbers = [value for value in values if isinstance(value, float | int)]

@@ -1,1 +1,1 @@
-"""Files of others: the formats of other simulators, VTK, rasters and meshes; untrusted files are never executed."""
+"""External file formats: of other simulators, VTK, rasters and meshes; untrusted files are never executed."""

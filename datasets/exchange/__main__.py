@@ -1,7 +1,7 @@
 """python -m datasets.exchange DATASET --to geoelements, or --from geoelements: datasets in the layout of that code.
 
-One trajectory is in memory at a time. Their files know no scene: all trajectories of theirs get the one that the user
-gives, which says box, obstacles and materials; each has the angle of its particles and the box that they begin in.
+One trajectory is in memory at a time. The other code's files contain no scene: all its trajectories get the scene that
+the user gives, with box, obstacles and materials; each has the angle of its particles and the box in which they start.
 """
 
 import itertools
@@ -33,10 +33,10 @@ from datasets.scene.material import Material
 from datasets.schema import Bounds, Record, from_mapping
 
 STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
-"""Keys of `metadata.json` that theirs shares with ours."""
-CLOSE = 1.0e-6  # relative difference of two boxes that is rounding
+"""Keys that both versions of `metadata.json` share."""
+CLOSE = 1.0e-6  # relative difference of two boxes within rounding
 Counts = tuple[float, ...]
-FARTHEST_APART = 3.0  # distance to the nearest particle over the spacing of a lattice that a body is fitted with
+FARTHEST_APART = 3.0  # largest distance to the nearest particle, over the spacing of the lattice
 LONGEST_NAME = 200  # bytes of a key that names a file
 KEPT = ("material", "k0", "release", "gate", "initial_pore_pressure_ratio")
 """What the box of the first particles keeps of the scene's masses, where they have it in common."""
@@ -44,7 +44,7 @@ KEPT = ("material", "k0", "release", "gate", "initial_pore_pressure_ratio")
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignMetadata(Record):
-    """What Talus uses of their `metadata.json`."""
+    """The keys of the other code's `metadata.json` that Talus uses."""
 
     bounds: tuple[tuple[float, float], ...]  # lower and upper end of the box per axis [m]
     dt: Annotated[float, Bounds("a time in s, 1e-9 to 1e9", ge=1.0e-9)]  # between frames
@@ -58,8 +58,8 @@ class ForeignMetadata(Record):
 
 
 def export(dataset: Path, out: Path) -> None:
-    """Write a dataset to the folder `out` in their layout. Raises InputError for trajectories that do not share box,
-    frames and spacing, and where `out` holds anything."""
+    """Write a dataset to the folder `out` in the other layout. Raises InputError for trajectories that do not share
+    box, frames and spacing, and if `out` is not empty."""
     files = {split: trajectory_files(dataset / split.value) for split in Split}
     described = described_as_theirs(dataset, files)
     check_empty(out)
@@ -71,7 +71,7 @@ def export(dataset: Path, out: Path) -> None:
 
 
 def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> dict[str, Any]:
-    """The contents of their `metadata.json`, from scenes and shapes alone. Raises InputError."""
+    """The contents of the other code's `metadata.json`, from scenes and shapes only. Raises InputError."""
     content = read_metadata(dataset / "metadata.json")
     for key in STATISTICS:
         require(key in content, key, "a value, the key is missing", where=str(dataset / "metadata.json"))
@@ -95,7 +95,7 @@ def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) ->
         **{key: content[key] for key in STATISTICS},
         "sequence_length": frames,
         "material_feature_len": 1,
-        # Five velocities and two walls an axis, an embedding of the type, and the material.
+        # Five velocities and two walls per axis, an embedding of the type, and the material.
         "nnode_in": 5 * len(size) + 2 * len(size) + 16 + 1,
         "nedge_in": len(size) + 1,
         "nmessage_passing_steps": 10,
@@ -103,8 +103,8 @@ def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) ->
 
 
 def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
-    """Write a dataset in their layout to the folder `out`; scene: of all trajectories; up: which axis is. Raises
-    InputError for what is no such dataset, and where `out` holds anything."""
+    """Convert a dataset in the other layout into the folder `out`; scene: of all trajectories; up: the axis that points
+    up. Raises InputError for another kind of dataset, and if `out` is not empty."""
     content = read_metadata(source / "metadata.json")
     check_empty(out)
     entries: list[Entry] = []
@@ -114,7 +114,7 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
         path = source / f"{split.value}.npz"
         if not path.exists():
             continue
-        # They may describe a larger box for rollouts than for training.
+        # The file may describe a larger box for rollouts than for training.
         purpose = "rollout" if split is Split.TEST and "rollout" in content else "train"
         described = content.get(purpose, content)
         with naming(source / "metadata.json"):
@@ -141,8 +141,8 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
 
 
 def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> tuple[Trajectory, bool]:
-    """The trajectory of their sand, in `scene`, and whether its particles begin in a box, which its scene then has; a
-    particle has the volume of its share of the lattice. Raises InputError where the scene's box is another one."""
+    """The trajectory of the imported sand, in `scene`, and whether its particles start in a box, which its scene then
+    has; a particle has the volume of a lattice cell. Raises InputError if the scene has another box."""
     (positions, friction), bounds = sand, np.array(foreign.bounds)
     count, dimension = positions.shape[1:]
     require(dimension == len(bounds), "", f"positions in {len(bounds)}D, as bounds in metadata.json", f"{dimension}D")
@@ -238,12 +238,12 @@ def with_body(
     try:
         return replace(scene, masses=(body,), fields=()), True
     except InputError:
-        # Rounding has put it into an obstacle.
+        # Rounding has put the mass into an obstacle.
         return scene, False
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
-    """Read a `metadata.json`. Raises InputError, also where there is none."""
+    """Read a `metadata.json`. Raises InputError, also if there is none."""
     data = read_json(path)
     if data is None:
         raise InputError("expected a JSON file, there is none", where=str(path))
@@ -251,7 +251,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
 
 def check_empty(out: Path) -> None:
-    """Raise InputError where `out` is no folder or holds anything: nothing is overwritten."""
+    """Raise InputError if `out` is no folder or is not empty, so that nothing is overwritten."""
     empty = not out.exists() or (out.is_dir() and all(path.name[0] == "." for path in out.iterdir()))
     require(empty, "", "an empty folder", where=str(out))
 
@@ -266,19 +266,19 @@ def command(
     scene: str | None = None,
     up: Literal["y", "z"] = "y",
 ) -> None:
-    """Write a dataset of Talus in the layout of geoelements/gns, or one of theirs as a dataset of Talus.
+    """Convert a dataset of Talus into the layout of geoelements/gns, or a geoelements dataset into one of Talus.
 
-    One trajectory is in memory at a time. Their files are read without executing anything they hold.
+    One trajectory is in memory at a time. Foreign files are read without executing their contents.
 
     Args:
-        dataset: With --to a folder from python -m mpm.generate; with --from one of theirs: train, valid, test in .npz
-            and metadata.json.
-        out: Folder of the result; empty.
+        dataset: With --to, a folder from python -m mpm.generate; with --from, a geoelements folder with train, valid,
+            test in .npz and metadata.json.
+        out: Folder of the result, which has to be empty.
         to: Layout to write.
         from_: Layout to read.
-        scene: With --from: the scene of all trajectories, a path or a shipped name: their box, obstacles and material,
-            with its friction angle where the set has no tan(phi).
-        up: With --from: the axis that points up, y or z.
+        scene: With --from, the scene of all trajectories, a path or a shipped name: it gives box, obstacles and
+            material, with its friction angle if the dataset has no tan(phi).
+        up: With --from, the axis that points up, y or z.
     """
     require((to is None) != (from_ is None), "", "one of --to and --from")
     if (scene is None) != (from_ is None) or (to is not None and up != "y"):

@@ -26,12 +26,12 @@ from datasets.scene import Scene
 
 ALL = "gns_data"  # the key that holds all trajectories where it exists
 WHAT = "positions, particle types and perhaps a material property"
-STEEPEST = 5.0  # a tan(phi) beyond this, 79 degrees, is none
+STEEPEST = 5.0  # largest valid tan(phi), 79 degrees
 Sand = tuple[NDArray[np.floating], NDArray[Any] | None]
-"""Positions [m], shape [T, N, D], and tan(phi), shape [N], or None where the file does not say."""
+"""Positions [m], shape [T, N, D], and tan(phi), shape [N], or None if the file has none."""
 ARRAYS = "numpy._core.multiarray"
 NAMES = {"numpy.dtype", "numpy.ndarray", f"{ARRAYS}._reconstruct", f"{ARRAYS}.scalar", "_codecs.encode"}
-"""What pickled arrays of numbers, and of objects that are such arrays, call."""
+"""Names that pickled arrays of numbers, and object arrays of such arrays, call."""
 EARLIEST = (1980, 1, 1, 0, 0, 0)  # the date of every member: the same trajectories give the same bytes
 
 
@@ -43,8 +43,8 @@ class ParticleType(IntEnum):
 
 
 def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
-    """Particles that stand for all that is solid in `scene`, about as far apart as the sand's [m], shape [N, D]: a
-    lattice in each baffle and solid, finer in thin ones; two layers along the terrain, from below."""
+    """Particles that represent the solids of `scene`, about as far apart as the sand's [m], shape [N, D]: a lattice in
+    each baffle and solid, finer in thin ones; two layers along the terrain, from below."""
     spacing, size, planar = scene.particle_spacing, np.array(scene.domain.size), scene.dimension == 2
     parts = [np.empty((0, scene.dimension))]
     for solid, key in zip(*solids_of(scene), strict=True):
@@ -66,7 +66,7 @@ def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
 
 
 def write(path: Path, flows: Iterable[tuple[str, Trajectory]]) -> None:
-    """Write a split: of each trajectory the sand and, after it, the particles that stand for baffles and solids."""
+    """Write a split: for each trajectory the sand and, after it, the particles that represent baffles and solids."""
     with replacing(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, flow in flows:
             sand, obstacles = np.asarray(flow.positions), obstacle_particles(flow.scene).astype(np.float32)
@@ -129,11 +129,11 @@ def checked(positions: Any, types: Any, material: Any) -> Sand:
 
 
 class ArrayUnpickler(pickle.Unpickler):
-    """The object arrays of other codes: five names of NumPy's are looked up and no others, so no other is called.
+    """Reads the object arrays of other codes: only five names of NumPy are looked up, so that no other is called.
     https://docs.python.org/3/library/pickle.html#restricting-globals"""
 
     def find_class(self, module: str, name: str) -> Any:
-        """What a name stands for here. Raises InputError."""
+        """The object of an allowed name. Raises InputError."""
         module = module.replace("numpy.core.", "numpy._core.")
         if f"{module}.{name}" not in NAMES:
             raise InputError(f"expected arrays and nothing else, found the name {f'{module}.{name}'[:80]!r}")

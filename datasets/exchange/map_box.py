@@ -1,4 +1,4 @@
-"""The box of a scene in map coordinates: whole cells around the ground that a flow reaches, or around shapes of a GIS.
+"""The box of a scene in map coordinates: whole cells around the ground that a flow reaches, or around GIS shapes.
 
 `[domain] around = "release.gpkg"`, `margin = 200.0` stand for `origin` and `size`: the bounds of all shapes of the file
 and a margin on each side, as far as the terrain goes, from the lowest ground there to some air above the highest.
@@ -20,13 +20,13 @@ from datasets.scene.grid_field import Floats
 Entry = dict[str, Any]
 Ends = Sequence[tuple[float, float]]  # first and last post of the terrain along x and z [m]
 
-ROUNDING = 1.0e-6  # part of a metre or of two cells that counts as none
-BENEATH, AIR = 4, 10  # cells of ground beneath the lowest one of a box; of air over the highest
+ROUNDING = 1.0e-6  # share of a metre or of two cells that counts as rounding
+BENEATH, AIR = 4, 10  # cells beneath the lowest ground of a box; cells of air above the highest
 
 
 def whole_cells(lower: Floats, upper: Floats, cell: float, ends: Ends, key: str) -> Entry:
-    """`size`, `cell` and `origin` of a box between two corners [m], shape [3], that has no ground but the terrain's.
-    Raises InputError, which names `key`, where no cell fits."""
+    """`size`, `cell` and `origin` of a box between two corners [m], shape [3], limited to the ground of the terrain.
+    Raises InputError, which names `key`, if no cell fits."""
     lower, upper = lower.copy(), upper.copy()
     for axis, (first, last) in zip((0, 2), ends, strict=True):
         lower[axis], upper[axis] = max(first, lower[axis]), min(last, upper[axis])
@@ -42,13 +42,13 @@ def whole_cells(lower: Floats, upper: Floats, cell: float, ends: Ends, key: str)
 
 
 def unit_of(cell: float) -> float:
-    """What the corners of a box are whole numbers of: a metre, of small cells a decimal of one [m]."""
+    """The unit to which corners of a box are rounded: a metre, or for small cells a decimal fraction of it [m]."""
     return min(1.0, 10.0 ** math.floor(math.log10(cell)))
 
 
 def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
-    """`[domain]` with origin and size in plan around the shapes of a file, heights still any; in the system of the
-    raster of the terrain among `solids`. Raises InputError."""
+    """`[domain]` with origin and size in plan around the shapes of a file, with provisional heights; in the reference
+    system of the terrain's raster among `solids`. Raises InputError."""
     # Half a second, which other scenes do not wait.
     from datasets.exchange.rasters import known_system, raster_system
     from datasets.exchange.vectors import read_bounds
@@ -78,8 +78,8 @@ def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
 
 
 def with_elevations(domain: Entry, data: Entry) -> Entry:
-    """A `[domain]` by `plan_around` in whole cells, as far as the terrain of `data` goes and as high as what stands in
-    it. Raises InputError for a scene without terrain there."""
+    """A `[domain]` of `plan_around` in whole cells, limited to the terrain of `data` and as high as its contents need.
+    Raises InputError for a scene without terrain there."""
     lower, upper = (np.array(domain["origin"]) + step * np.array(domain["size"]) for step in (0.0, 1.0))
     low, high, ends = math.inf, -math.inf, [(-math.inf, math.inf)] * 2
     for grid in filter(None, map(posts_of, entries(data, "solids"))):
@@ -95,7 +95,7 @@ def with_elevations(domain: Entry, data: Entry) -> Entry:
     thick = max((largest(mass.get("thickness", 0.0)) for mass in entries(data, "masses")), default=0.0)
     tops = [top for group in ("masses", "baffles", "solids") for top in map(top_of, entries(data, group))]
     cell = float(domain["cell"])
-    # Where the terrain moves the lower end, the cells end at the upper one or beyond.
+    # If the terrain moves the lower end, the cells end at the upper one or beyond.
     upper += 2.0 * cell * (1.0 - ROUNDING)
     lower[1], upper[1] = low, max(high + thick, *tops)
     box = whole_cells(lower, upper, cell, ends, "cell")
@@ -113,13 +113,13 @@ def filled(values: Floats, spacing: Sequence[float] | None = None) -> Floats:
 
 
 def entries(data: Entry, group: str) -> list[Entry]:
-    """The tables of a group such as `masses`; what is none is left to the scene's own checks."""
+    """The tables of a group such as `masses`; the scene's own checks refuse other values."""
     listed = data.get(group)
     return [table for table in listed if isinstance(table, dict)] if isinstance(listed, list) else []
 
 
 def posts_of(terrain: Entry) -> tuple[list[Floats], Floats] | None:
-    """x and z of the posts of a terrain in 3D [m] and their elevations [X, Z]; None where they make no grid."""
+    """x and z of the posts of a terrain in 3D [m] and their elevations [X, Z]; None if they form no grid."""
     with suppress(KeyError, TypeError, ValueError):
         heights = np.array(terrain["heights"], np.float64)
         sides = zip(terrain["origin"], terrain["spacing"], heights.shape, strict=True)
@@ -129,14 +129,14 @@ def posts_of(terrain: Entry) -> tuple[list[Floats], Floats] | None:
 
 
 def largest(thickness: Any) -> float:
-    """The largest of the thicknesses of a layer [m]; 0 of what are none."""
+    """The largest thickness of a layer [m]; 0 for invalid values."""
     with suppress(TypeError, ValueError):
         return float(np.max(np.array(thickness, np.float64)))
     return 0.0
 
 
 def top_of(entry: Entry) -> float:
-    """Elevation of the top of a box [m]; none of what is no box."""
+    """Elevation of the top of a box [m]; -inf for other entries."""
     with suppress(KeyError, TypeError, ValueError, IndexError):
         return float(entry["lower"][1]) + float(entry["size"][1])
     return -math.inf

@@ -19,15 +19,15 @@ from datasets.processes import end_with_parent, without_main
 from datasets.scene import Scene
 
 MESHES = (".stl", ".obj", ".ply", ".off", ".msh", ".vtk", ".vtu")
-"""Endings of meshes: those that hold all they need and name no other file."""
-IN_PROCESS = (".stl", ".obj")  # those whose readers survive any file
+"""Endings of meshes in formats that refer to no other file."""
+IN_PROCESS = (".stl", ".obj")  # formats whose readers survive any file
 SAME = (1.0e-9, 1.0e-7, 1.0e-6, 1.0e-5)
-"""Distances of vertices that are one, over the extent of the mesh: the first with which its surface is closed."""
+"""Distances, over the extent of the mesh, within which vertices are merged: the first that closes the surface."""
 
 
 def read_mesh(path: Path) -> tuple[Floats, Integers]:
-    """Vertices [V, 3] and triangles [T, 3] of the outer surface of a mesh, those at one place one vertex. Vertices
-    further apart are one where the surface is open without. Raises InputError, which names the file."""
+    """Vertices [V, 3] and triangles [T, 3] of the outer surface of a mesh; coincident vertices are merged, and vertices
+    farther apart if the surface is open otherwise. Raises InputError, which names the file."""
     file_size(path, "a mesh", most=LARGEST)
     require(path.suffix.lower() in MESHES, "", f"a mesh, a file that ends in {' '.join(MESHES)}", where=str(path))
     with reading(path, "a readable mesh"):
@@ -39,7 +39,7 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
     import pyvista
 
     output = io.StringIO()
-    # Readers warn of normals that are none of a vertex's, and print what they leave out.
+    # Readers warn of normals without a vertex, and print what they leave out.
     with warnings.catch_warnings(), redirect_stdout(output), redirect_stderr(output), pyvista.vtk_verbosity("off"):
         warnings.simplefilter("ignore")
         mesh = pyvista.PolyData(*read_obj(path)) if path.suffix.lower() == ".obj" else pyvista.read(path)
@@ -56,8 +56,8 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
 
 
 def read_obj(path: Path) -> tuple[Floats, Integers]:
-    """Vertices [V, 3] of a Wavefront OBJ, and its polygons end to end: how many corners each has, then these from 0.
-    Raises InputError for corners that are no vertices, ValueError for what is no number."""
+    """Vertices [V, 3] of a Wavefront OBJ, and its polygons in a row: the number of corners of each, then their indices
+    from 0. Raises InputError for corners that are no vertices, ValueError for text that is no number."""
     vertices, polygons = list[list[float]](), list[list[int]]()
     for line in decoded(path.read_bytes(), errors="replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
         kind, *words = line.split("#", 1)[0].split() or [""]
@@ -73,7 +73,7 @@ def read_obj(path: Path) -> tuple[Floats, Integers]:
 
 
 def read_apart(path: Path) -> tuple[Floats, Integers]:
-    """`triangles_in` in a process of its own, which a damaged file may end: VTK trusts the numbers in it."""
+    """`triangles_in` in its own process, which a damaged file may crash: VTK trusts the numbers in it."""
     reader = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"), initializer=begin_reader)
     with without_main(), reader as process:
         try:
@@ -83,7 +83,7 @@ def read_apart(path: Path) -> tuple[Floats, Integers]:
 
 
 def begin_reader() -> None:
-    """Make a process end with the one that started it, and say nothing of its own."""
+    """Make a process end with its parent, and print nothing."""
     end_with_parent()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 

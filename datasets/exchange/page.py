@@ -31,9 +31,9 @@ from datasets.maps import require_same_place
 from datasets.scene import Scene
 from datasets.scene.material import Material
 
-FRAMES, PARTICLES = 60, 20_000  # at most so many of a flow are on a page, evenly
-NODES = 150  # of the ground along the longest side of the box, at most
-ERROR = "error"  # what two flows of the same particles have besides: their distance
+FRAMES, PARTICLES = 60, 20_000  # most frames and particles of a flow on a page
+NODES = 150  # most nodes of the ground along the longest side of the box
+ERROR = "error"  # additional field of two flows of the same particles: their distance
 SHOWN: dict[str, ColourScale] = {key.value: scale for key, scale in SCALES.items()}
 SHOWN[ERROR] = ColourScale(title="distance between the two [m]", colours="magma")
 COLOURS = ("#1b6ca8", "#d9730d")
@@ -44,7 +44,7 @@ PAGE = Path(__file__).with_suffix(".html")
 
 @dataclass(frozen=True, kw_only=True)
 class Observed:
-    """What was measured of a flow's end, as far as a picture can show it."""
+    """Measurements of a flow's end that a picture can show."""
 
     front: float | None = None  # x of the front [m]
     x: Sequence[float] = ()
@@ -52,11 +52,11 @@ class Observed:
 
 
 class Shown:
-    """What is on a page of one flow, moment by moment."""
+    """The contents of a page for one flow, moment by moment."""
 
     def __init__(self, flow: Trajectory, columns: Columns) -> None:
         self.flow, self.fields, self.columns = flow, FlowFields(flow), columns
-        # At random: every so many of a lattice would be stripes.
+        # At random, because every n-th particle of a lattice would form stripes.
         self.particles = np.sort(np.random.default_rng(0).permutation(flow.positions.shape[1])[:PARTICLES])  # [P]
         self.positions: list[NDArray[np.floating]] = []  # of these [m], [T] times [P, D]
         self.values: dict[str, list[NDArray[np.floating]]] = {}  # in the unit of their colour bar, [T] times [P]
@@ -64,7 +64,7 @@ class Shown:
         self.front: list[float] = []
 
     def add(self, values: Values) -> None:
-        """One moment more; values of all particles."""
+        """Add a moment; values: of all particles."""
         whole = values["position"]
         self.positions.append(whole[self.particles])
         here = values["entered"]
@@ -79,7 +79,7 @@ class Shown:
 
 
 class Numbers:
-    """Arrays as integers, one after the other, and where in the bytes each of them is."""
+    """Arrays stored as integers in a row, with the place of each in the bytes."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -141,7 +141,7 @@ def write_view(
 
     parts = {
         "title": html.escape(title or "A granular flow"),
-        # No text of a scene's ends the script that it stands in.
+        # Escaped, so that no text of a scene can end the script that contains it.
         "head": json.dumps(finite(head), default=list).replace("<", "\\u003c"),
         "data": packed(bytes(numbers.data)),
         "plotly": packed(get_plotlyjs().encode()),
@@ -211,8 +211,8 @@ def coloured(key: str, top: float, materials: Sequence[Material]) -> dict[str, A
 
 
 def still(scenes: Sequence[Scene]) -> dict[str, Any]:
-    """What does not move: baffles and solids by their corners, of terrain the highest, at nodes over the box. Of a
-    second scene what the first does not have; no second terrain."""
+    """The fixed parts: corners of baffles and solids, and the highest terrain at nodes over the box. Of a second scene,
+    only parts that the first does not have, and no second terrain."""
     scene, parts, ground = scenes[0], [], None
     first_solids = set(solids_of(scene)[0])
     for index, current in enumerate(scenes):
@@ -233,7 +233,7 @@ def still(scenes: Sequence[Scene]) -> dict[str, Any]:
 
 
 def about(shown: Sequence[Shown], labels: Sequence[str], times: NDArray[np.float64]) -> str:
-    """What is on a page, and what of the flows is not, in sentences."""
+    """The contents of a page, and the omitted parts of the flows, in sentences."""
     scene, parts = shown[0].flow.scene, []
     for view, label in zip(shown, labels, strict=False):
         count, drawn = view.flow.positions.shape[1], len(view.particles)

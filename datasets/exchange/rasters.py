@@ -21,34 +21,34 @@ from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 from datasets.scene.grid_field import Floats
 
-VALUE = 32  # bytes that a value takes while a raster is read
-METRES = ("", "m", "metre", "metres", "meter", "meters")  # what a raster may call the unit of its values
+VALUE = 32  # bytes per value while a raster is read
+METRES = ("", "m", "metre", "metres", "meter", "meters")  # accepted units of a raster's values
 UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)  # values that stand for no data by custom, as they are in the file
 CLIFF, STEEP = 500.0, 10.0
-"""Height of a step [m], and over the cell, beyond which values without any between are no ground: -999, 9999, 0."""
+"""Height of a step [m], and over the cell, above which isolated values such as -999, 9999 or 0 are not ground."""
 OTHERS: dict[str | bytes, str] = {".img": "HFA", ".bil": "EHdr", ".flt": "EHdr", ".vrt": "VRT"}
 OTHERS |= {b"DSBB": "GSBG", b"DSRB": "GS7BG", b"DSAA": "GSAG"}
 """GDAL's drivers by the ending of a file or, of a grid of Surfer, by its beginning; other files are GeoTIFF or ESRI
 ASCII rasters."""
 ELSEWHERE = re.compile(rb"/vsi|://|pixelfunction", re.IGNORECASE)
-"""What a mosaic (.vrt) may not have: files of other machines and code."""
+"""Forbidden contents of a mosaic (.vrt): files of other machines and code."""
 HEADER = re.compile(rb"\s*((ncols|nrows|[xy]ll(corner|center)|cellsize|d[xy]|nodata_value)\s+\S+\s+)*", re.IGNORECASE)
-"""What an ASCII raster begins with; its values follow."""
+"""The header of an ASCII raster, before its values."""
 VALUES = re.compile(
     rb"(?:\s*+[+-]?+(?:(?:\d++[.,]?+\d*+|[.,]\d++)(?:e[+-]?+\d++)?+|nan|inf|1\.#\w++|null)(?=\s|$))*+\s*+",
     re.IGNORECASE,
 )
-"""Numbers as GDAL reads them; of any other word it takes the digits at the beginning, or 0."""
+"""Numbers as GDAL reads them; for any other word it takes the leading digits, or 0."""
 LOCAL = ("LOCAL_CS", "ENGCRS")
-"""How reference systems in WKT begin that lie nowhere on the earth, as GDAL names that of a raster without any."""
+"""Beginnings in WKT of reference systems without a place on the earth, which GDAL gives to a raster without any."""
 HEIGHTS = re.compile(r'VERT_CS\[.*UNIT\["([^"]+)",([^\],]+)')
 """The unit of the heights of a reference system in WKT, and what one is in metres."""
-NO_ELEVATION = 2.0e4  # elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38
-LONGEST_WORD = 40  # characters of a word that are shown
-LENGTH, EARTH = 100.0, 6.371e6  # of the map over which its scale is looked at; radius of the earth [m]
+NO_ELEVATION = 2.0e4  # elevation or thickness [m] above any on earth: 32767, 1e20, -3.4e38
+LONGEST_WORD = 40  # most characters of a word that are shown
+LENGTH, EARTH = 100.0, 6.371e6  # length on the map for its scale; radius of the earth [m]
 DISTORTED = 0.02
-"""What a metre of the map may differ from one on the ground; the earth's flattening makes up 0.5 % of it."""
-SAME_PLACE = 1.0  # how far two reference systems may be apart that are one for a flow [m]
+"""Largest relative difference of a metre on the map from one on the ground; the earth's flattening causes 0.5 %."""
+SAME_PLACE = 1.0  # largest distance between the places of two reference systems that count as the same [m]
 
 
 class Raster(NamedTuple):
@@ -63,8 +63,8 @@ class Raster(NamedTuple):
 
 
 def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
-    """A raster of one band in metres on the ground, rows from west to east, scale and offset applied. Values that no
-    length has are no data, which a warning says; of `coefficients` UNDECLARED ones alone. Raises InputError."""
+    """A raster of one band in metres on the ground, rows from west to east, scale and offset applied. Impossible
+    lengths count as no data, with a warning; for `coefficients`, only UNDECLARED values do. Raises InputError."""
     with opened(path) as file:
         require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
         if file.driver == "AAIGrid":
@@ -120,7 +120,7 @@ def raster_system(path: Path) -> str | None:
 
 
 def system_of(file: Any) -> CRS | None:
-    """The reference system of a raster; None where it has none on the earth, but one of a site in metres."""
+    """The reference system of a raster; None if it is a local one in metres without a place on the earth."""
     crs = file.crs
     return None if crs and crs.to_wkt().startswith(LOCAL) and crs.units_factor[1] == 1.0 else crs
 
@@ -140,7 +140,7 @@ def opened(path: Path) -> Iterator[Any]:
         # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
         options = {"driver": driver} | ({"DATATYPE": "Float64"} if driver == "AAIGrid" else {})
         if head.startswith(tuple(MARKS)):
-            # The driver knows plain text alone.
+            # The driver reads only plain text.
             yield stack.enter_context(stack.enter_context(MemoryFile(plain_text(path), ext=".asc")).open(**options))
         else:
             yield stack.enter_context(rasterio.open(path.resolve(), **options))
@@ -243,7 +243,7 @@ def write_raster(
     profile |= {"nodata": np.nan, "transform": transform, "crs": crs}
     try:
         with warnings.catch_warnings(), replacing(path) as part:
-            # A box in its own coordinates has no reference system, which is no mistake.
+            # A box in its own coordinates has no reference system; that is no error.
             warnings.simplefilter("ignore")
             with rasterio.open(part, "w", width=width, height=height, **profile) as raster:
                 raster.write(rows, 1)

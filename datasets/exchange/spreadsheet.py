@@ -3,7 +3,7 @@
     x [cm];height [mm]
     10,5;21,0
 
-are the columns `x` and `height`, in metres 0.105 and 0.021. What was understood beyond a plain CSV is said in a line.
+are the columns `x` and `height`, in metres 0.105 and 0.021. One line reports everything interpreted beyond a plain CSV.
 """
 
 import csv
@@ -30,9 +30,9 @@ UNITS = {
     "speed": {"m/s": 1.0, "cm/s": 0.01, "km/h": 1.0 / 3.6},
     "friction": {"-": 1.0, "1": 1.0},
 }
-"""Of each quantity: its units, and what one is in SI."""
+"""Quantity -> its units and their values in SI."""
 NAMED = re.compile(r"(?P<name>[^\[(]*?)\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\))?\s*")
-"""A column's header: its name, and perhaps its unit in brackets."""
+"""A column's header: its name, and optionally its unit in brackets."""
 CONTROL = dict.fromkeys((*range(32), 127), "?")  # characters that a terminal does not show: of a file that is no text
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
 
@@ -91,8 +91,8 @@ def read_columns(
 
 
 def described(header: Sequence[str], metres: float) -> tuple[list[str], list[float | None], list[str]]:
-    """Names of columns, in lower case unless another column has one so, factors on their numbers (None: of no known
-    unit), and their units, empty where absent."""
+    """Names of columns, in lower case unless another column has the same name then, factors of their numbers (None for
+    an unknown unit), and their units, empty if absent."""
     names, factors, units = [], list[float | None](), []
     parts = [(cell, NAMED.fullmatch(cell)) for cell in header]
     spelled = [cell if found is None else found["name"] for cell, found in parts]
@@ -108,12 +108,12 @@ def described(header: Sequence[str], metres: float) -> tuple[list[str], list[flo
 
 
 def quantity_of(name: str) -> str:
-    """The quantity of `UNITS` that a column holds, lengths where its name says nothing else."""
+    """The quantity of `UNITS` in a column, by default length."""
     return name if name in UNITS else "length"
 
 
 def factor_of(quantity: str, unit: str) -> float | None:
-    """What a unit is in SI; None where there is none. Case is no matter (KPA), but a small m is not mega (mPa)."""
+    """The value of a unit in SI; None if it is unknown. Case is ignored (KPA), but a small m is not mega (mPa)."""
     same = [name for name in UNITS[quantity] if name.lower() == unit.lower() and (name[0], unit[0]) != ("M", "m")]
     exact = [name for name in same if name == unit] or same
     return UNITS[quantity][exact[0]] if len(exact) == 1 else None

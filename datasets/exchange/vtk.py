@@ -22,18 +22,18 @@ if TYPE_CHECKING:  # VTK takes half a second to import: only who writes or draws
 
 SERIES = "trajectory.pvd"
 PARTS = re.compile(r"(particles-\d+|solids(-\d+)?|domain)\.vtp")
-"""The files that a series consists of, whatever its length."""
+"""Names of the files of a series."""
 UNITS = {"velocity": "m/s", "displacement": "m", "friction_deg": "deg", "impulse": "N s", "force": "N"}
 UNITS |= dict.fromkeys(("stress", "pressure", "pore_pressure"), "Pa")
 UNITS |= dict.fromkeys(("plastic_strain", "material", "solid", "friction"), "1")
-"""Of the arrays; of impulse and force in 2D per metre of width."""
+"""Array -> unit; impulse and force in 2D are per metre of width."""
 MOVING = "particles"  # the part whose geometry changes
 ACTIVE = {MOVING: "velocity", "solids": "force"}
-"""The vectors that ParaView takes for glyphs where none are chosen, of each part."""
+"""Part -> default vectors for glyphs in ParaView."""
 
 
 class Meshes:
-    """The parts of a trajectory as VTK's meshes; all in three dimensions, a 2D trajectory at z = 0."""
+    """The parts of a trajectory as VTK meshes, all in three dimensions; a 2D trajectory is at z = 0."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         self.trajectory, self.fields, scene = trajectory, FlowFields(trajectory), trajectory.scene
@@ -132,7 +132,7 @@ def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, pro
     series = ElementTree.Element("VTKFile", type="Collection", version="0.1", byte_order="LittleEndian")
     collection = ElementTree.SubElement(series, "Collection")
     meshes, since, corner = Meshes(trajectory), 0, trajectory.scene.domain.corner
-    # Parts that are others in every frame.
+    # Parts that change in every frame.
     changing = {MOVING, *(("solids",) if trajectory.solid_impulse is not None else ())}
     with tempfile.TemporaryDirectory(dir=folder, prefix=".vtk-") as name:
         beside = Path(name)
@@ -147,7 +147,7 @@ def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, pro
                 time = repr(float(trajectory.time[frame]))
                 ElementTree.SubElement(collection, "DataSet", timestep=time, part=str(number), file=file)
             since = frame
-        # From here on it is a matter of moments.
+        # The remaining steps take only moments.
         remove_series(folder)
         for new in list(beside.iterdir()):
             new.replace(folder / new.name)

@@ -1,1 +1,1 @@
-"""What a flow is: its trajectory in memory and on disk, fields and measures of it."""
+"""Flows: trajectories in memory and on disk, their fields and measures."""

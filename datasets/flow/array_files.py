@@ -1,4 +1,4 @@
-"""Arrays in files: NPZ whole or mapped, HDF5 frame by frame; sizes are looked up before reading, nothing is run."""
+"""Arrays in files: NPZ whole or mapped, HDF5 frame by frame; sizes are checked before reading, nothing is executed."""
 
 import math
 import zipfile
@@ -18,16 +18,16 @@ if TYPE_CHECKING:  # most commands read NPZ alone
     import h5py
 
 HDF5 = ".h5"
-CHUNK = 2**16  # bytes that a chunk of HDF5 holds at least
-PIECE = 2**20  # bytes that are read at once for a check sum
-HEADERS = 2**17  # bytes that the headers of a member of an NPZ take at most
+CHUNK = 2**16  # smallest size of an HDF5 chunk [bytes]
+PIECE = 2**20  # bytes read at once for a checksum
+HEADERS = 2**17  # largest size of the headers of an NPZ member [bytes]
 DEFLATED: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 TEXTS = ("scene", "summary")
 WHAT = "a trajectory"
 
 
 class FrameWriter:
-    """An HDF5 file that grows as frames are computed, no more in memory than one call appends, and is there at the
+    """An HDF5 file that grows as frames are computed, with only the appended frames in memory; it appears at the
     end."""
 
     def __init__(self, path: str | Path) -> None:
@@ -44,14 +44,14 @@ class FrameWriter:
         self._stack.__exit__(*error)
 
     def put(self, **arrays: NDArray[Any] | str) -> None:
-        """Write whole arrays, and texts."""
+        """Write whole arrays and texts."""
         for key, value in arrays.items():
             array = np.frombuffer(value.encode(), np.uint8) if isinstance(value, str) else np.asarray(value)
             chunks = (frames_in_chunk(array), *array.shape[1:]) if array.nbytes > CHUNK else None
             self._file.create_dataset(key, data=array, chunks=chunks, **(DEFLATED if chunks else {}))
 
     def append(self, **frames: NDArray[Any]) -> None:
-        """Add frames, shape [F, ...] each, to what there is of every key."""
+        """Append frames, shape [F, ...] each, to each key."""
         for key, values in frames.items():
             if key not in self._file:
                 shape, chunks = values.shape[1:], (frames_in_chunk(values), *values.shape[1:])
@@ -62,17 +62,17 @@ class FrameWriter:
                 stored[-len(values) :] = values
 
     def frames(self, key: str) -> NDArray[Any]:
-        """What was appended, to be read from the file; `Frames`."""
+        """The appended frames, read from the file on use; `Frames`."""
         return cast(NDArray[Any], Frames(self._file[key]))
 
 
 def frames_in_chunk(values: NDArray[Any]) -> int:
-    """How many rows of an array fill a chunk."""
+    """Number of rows of an array that fill a chunk."""
     return max(1, CHUNK // int(values[0].nbytes))
 
 
 class Frames:
-    """Frames in an HDF5 file, shape [T, ...]: a number reads one of them, a slice reads none until it is indexed."""
+    """Frames in an HDF5 file, shape [T, ...]: an index reads one frame, a slice reads none until it is indexed."""
 
     def __init__(self, stored: "h5py.Dataset", chosen: range | None = None) -> None:
         self._stored = stored
@@ -111,8 +111,8 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def read_arrays(path: Path, *names: str, optional: tuple[str, ...] = (), what: str = WHAT) -> dict[str, NDArray[Any]]:
-    """The arrays `names` of an NPZ or HDF5 file and, where they are there, `optional`; all where none is named. Never
-    runs a pickle. Raises InputError."""
+    """The arrays `names` of an NPZ or HDF5 file and, if present, `optional`; without names, all. Never executes a
+    pickle. Raises InputError."""
 
     def chosen(there: Collection[str]) -> list[str]:
         return [*names, *(name for name in optional if name in there)] or list(there)
@@ -129,9 +129,9 @@ def read_arrays(path: Path, *names: str, optional: tuple[str, ...] = (), what: s
 
 
 def open_frames(path: Path, key: str, *, sound: bool = False) -> NDArray[Any]:
-    """The frames `key` of an NPZ or HDF5 file, read when they are used; read-only. sound: read an NPZ once, against its
-    check sum. From an NPZ a memory map, or the whole array where it is compressed or not float32; from HDF5 `Frames`,
-    whose file stays open. Raises InputError."""
+    """The frames `key` of an NPZ or HDF5 file, read on use; read-only. sound: first read an NPZ to verify its checksum.
+    From an NPZ a memory map, or the whole array if it is compressed or not float32; from HDF5 `Frames`, whose file
+    stays open. Raises InputError."""
     if path.suffix == HDF5:
         import h5py
 
@@ -145,7 +145,7 @@ def open_frames(path: Path, key: str, *, sound: bool = False) -> NDArray[Any]:
         if place.compress_type == zipfile.ZIP_STORED:
             if sound:
                 with archive.open(place) as stream:
-                    while stream.read(PIECE):  # at its end the library compares the sums
+                    while stream.read(PIECE):  # at its end the library compares the checksums
                         pass
             file.seek(place.header_offset)  # NumPy's own header stands behind that of the archive
             file.seek(place.header_offset + file.read(HEADERS).index(np.lib.format.MAGIC_PREFIX))
@@ -159,7 +159,7 @@ def open_frames(path: Path, key: str, *, sound: bool = False) -> NDArray[Any]:
 
 @contextmanager
 def open_npz(path: Path, what: str) -> Iterator[zipfile.ZipFile]:
-    """Open the NPZ at `path`; what: it holds. Raises InputError."""
+    """Open the NPZ at `path`; what: its contents, in words. Raises InputError."""
     file_size(path, what)
     with reading(path, what):
         archive = zipfile.ZipFile(path)
@@ -173,13 +173,13 @@ def keys(archive: zipfile.ZipFile) -> list[str]:
 
 
 def member(archive: zipfile.ZipFile, key: str) -> zipfile.ZipInfo:
-    """Where an array lies in an NPZ. Raises InputError where there is none."""
+    """The member of an array in an NPZ. Raises InputError if there is none."""
     require(key in keys(archive), key, "an array, the key is missing", where=str(archive.filename))
     return archive.getinfo(f"{key}.npy")
 
 
 def read_member(archive: zipfile.ZipFile, key: str, what: str, unpickler: type[Any] | None = None) -> NDArray[Any]:
-    """The array `key` of an open NPZ; unpickler: of one of objects, where there may be any. Raises InputError."""
+    """The array `key` of an open NPZ; unpickler: for an array of objects, if allowed. Raises InputError."""
     with reading(Path(str(archive.filename)), what, key), archive.open(member(archive, key)) as stream:
         shape, _, dtype = read_header(stream)
         size = max(member(archive, key).file_size, math.prod(shape) * dtype.itemsize)
@@ -191,7 +191,7 @@ def read_member(archive: zipfile.ZipFile, key: str, what: str, unpickler: type[A
 
 
 def read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order and dtype of a member, by numpy, which evaluates literals alone. Raises ValueError."""
+    """Shape, order and dtype of a member, by NumPy, which evaluates only literals. Raises ValueError."""
     if np.lib.format.read_magic(stream) == (1, 0):
         return np.lib.format.read_array_header_1_0(stream)
     return np.lib.format.read_array_header_2_0(stream)

@@ -1,4 +1,4 @@
-"""What is known of the particles of a flow: at a frame, between two frames, and in which colours it is shown."""
+"""Fields of the particles of a flow: at a frame, between two frames, and their colour scales."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,14 +14,14 @@ from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 
 Values = dict[str, NDArray[Any]]
-"""Of the particles by name, shape [N] or [N, D] each."""
+"""Name -> values of the particles, shape [N] or [N, D] each."""
 RECORDED = ("stress", "pressure", "plastic_strain", "pore_pressure")  # fields that a run may have recorded
 CONSTANT = ("material", "friction_deg")  # fields that do not change
-RANGE_QUANTILE = 0.995  # a colour bar ends at this quantile of the particles of its frames: no single particle decides
+RANGE_QUANTILE = 0.995  # quantile of its frames' particles at which a colour bar ends, so that no single one decides
 
 
 class Colour(StrEnum):
-    """What the colour of a particle shows."""
+    """The quantity that the colour of a particle shows."""
 
     VELOCITY = "velocity"
     DISPLACEMENT = "displacement"
@@ -33,17 +33,17 @@ class Colour(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ColourScale:
-    """How a field becomes colours."""
+    """The colour scale of a field."""
 
     title: str
-    """Name and unit at the colour bar."""
+    """Name and unit on the colour bar."""
     unit: float = 1.0
-    """One of that unit in SI units."""
+    """That unit in SI units."""
     colours: str
-    """Colour map of matplotlib."""
+    """Matplotlib colour map."""
 
     def scaled(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values [N], or the amounts of vectors [N, D], in SI units, in that unit, shape [N]."""
+        """SI values [N], or the magnitudes of vectors [N, D], converted to that unit, shape [N]."""
         return np.asarray((np.linalg.norm(values, axis=1) if values.ndim == 2 else values) / self.unit)
 
 
@@ -58,24 +58,24 @@ SCALES = {
 
 
 class FlowFields:
-    """The fields of the particles of a trajectory, those recorded and those that follow from the positions."""
+    """The fields of the particles of a trajectory: recorded ones and those that follow from the positions."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         self.trajectory, scene = trajectory, trajectory.scene
         self.materials: list[Material] = list(dict.fromkeys(map(scene.material_of, scene.masses)))
-        """The different ones of the scene, in the order of `datasets.scene.particles.initial_particles`."""
+        """The different materials of the scene, in the order of `datasets.scene.particles.initial_particles`."""
 
     @cached_property
     def start(self) -> NDArray[np.float64]:
-        """Positions at the start [m], shape [N, D]; the first frame's where the start was not kept and is not known."""
+        """Positions at the start [m], shape [N, D]; those of the first frame if the start is not known."""
         first = np.asarray(self.trajectory.positions[0], np.float64)
         initial = first if self.trajectory.time[0] == 0.0 else initial_particles(self.trajectory.scene).positions
         return initial if initial.shape == first.shape else first
 
     @cached_property
     def material(self) -> NDArray[np.int32]:
-        """Index into `materials` of each particle, shape [N]. Where the trajectory does not say its mass, that of the
-        nearest of the scene's own particles at the start."""
+        """Index into `materials` of each particle, shape [N]. If the trajectory does not give its mass, the material of
+        the nearest of the scene's own particles at the start."""
         from scipy.spatial import cKDTree
 
         scene = self.trajectory.scene
@@ -93,8 +93,8 @@ class FlowFields:
         return measures.particle_spacing(self.trajectory.volumes, self.trajectory.scene.dimension)
 
     def velocity(self, frame: int) -> NDArray[np.float32] | None:
-        """Velocities at `frame` [m/s], shape [N, D]: as recorded, or else finite differences of the frames, central, at
-        the last frame backward. At the start, and of a particle that entered after the frame before, the initial ones;
+        """Velocities at `frame` [m/s], shape [N, D]: as recorded, or else central differences of the frames, backward
+        at the last frame. At the start, and for a particle that entered after the previous frame, the initial velocity;
         None at a first frame that is not the start."""
         trajectory = self.trajectory
         if trajectory.velocities is not None:
@@ -107,7 +107,7 @@ class FlowFields:
         return np.where(trajectory.entered(float(trajectory.time[before]))[:, None], differences, trajectory.velocity0)
 
     def at_frame(self, frame: int) -> Values:
-        """All that is known of the particles at `frame` besides their positions."""
+        """All known fields of the particles at `frame`, without their positions."""
         trajectory = self.trajectory
         recorded = {key: getattr(trajectory, key) for key in RECORDED}
         values = {
@@ -120,8 +120,8 @@ class FlowFields:
         return {key: array for key, array in values.items() if array is not None}
 
     def at_time(self, time: float) -> Values:
-        """The `position` and all that is known of the particles at a time [s], and which have `entered`. Linear between
-        frames; beyond them the first one's or the last one's."""
+        """The `position` and all known fields of the particles at a time [s], and which have `entered`. Linear between
+        frames; beyond them as in the first or the last frame."""
         flow = self.trajectory
         (before,), (share,) = (bracket.tolist() for bracket in brackets(flow.time, np.array([time])))
         first, second = (
@@ -138,8 +138,8 @@ class FlowFields:
 
 
 def pairs(one: FlowFields, other: FlowFields) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Indices into both flows of the particles that began at the same place: all of the one that has fewer; None where
-    some have no partner. Of as many those of a number, no farther apart than neighbours are: so is another jitter."""
+    """Indices into both flows of particles that started at the same place: all of the flow with fewer; None if some
+    have no partner. Flows of equal size are paired by index if all starts are within the spacing: another jitter."""
     from scipy.spatial import cKDTree
 
     few, many = sorted((one, other), key=lambda flow: len(flow.start))

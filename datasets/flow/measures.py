@@ -1,15 +1,15 @@
-"""What a deposit is judged by: runout, front, toe, profile, thickness, bulk; and how far one deposit is from another.
+"""Measures of a deposit: runout, front, toe, profile, thickness, bulk; and distances between two deposits.
 
 Every function takes the positions of one moment [m], shape [N, D]; volumes are those of the particles [m^D], shape [N].
 
-The front is a quantile of the volume along x. That of the sample scatters with single particles; here it is that of
+The front is a quantile of the volume along x. The sample quantile scatters with single particles; here it comes from
 the least-squares fit of
 
     x(p) = c + a sqrt(1 - p) + b (1 - p),    p in `TAIL`,
 
-to the quantile function of the sample, the x that a share p of the volume is behind. A wedge has b = 0 (its volume
+to the quantile function of the sample, the x behind which a share p of the volume lies. A wedge has b = 0 (its volume
 ahead of x falls with the square of the distance to its tip), a block a = 0. A particle is a step of the quantile
-function as wide as its volume: the fit is continuous in the positions. The furthest 0.1 % of the volume do not count.
+function as wide as its volume, so that the fit is continuous in the positions. The furthest 0.1 % is ignored.
 """
 
 import math
@@ -30,11 +30,11 @@ TAIL = (0.98, 0.999)
 TOE_FRACTION = 0.10
 
 AT_WALL = 0.01
-"""A front within this share of the box's length of the wall ahead leans on it, which then bounds everyone's."""
+"""A front within this share of the box's length from the wall ahead touches the wall, which then limits all fronts."""
 OUTLINE = 0.1
-"""Thickness over a deposit's largest from which on a place in plan is covered [-]."""
+"""Thickness over a deposit's largest, above which a place in plan is covered [-]."""
 AFTER = 4
-"""Durations of a flow until whose end a deposit must stay where it is (`creep`)."""
+"""Time, in durations of the flow, until which a deposit must stay in place (`creep`)."""
 COLUMN = 3.0
 """Width of the columns in which two deposits are compared, over the larger distance between their particles [-]."""
 
@@ -52,14 +52,14 @@ def runout(positions: Positions) -> float:
 
 def front(positions: Positions, volume: float | Volumes = 1.0) -> float:
     """The x [m] that 99.5 % of the volume is behind, by a fit, at most the runout; volume: one for all or shape [N].
-    Beyond a gap before a few particles the fit would lead out of the box."""
+    With a gap before a few particles, the unlimited fit could leave the box."""
     x = positions[:, 0].astype(np.float64)
     order = np.argsort(x)
     return min(float((tail_weights(np.broadcast_to(volume, x.shape)[order]) * x[order]).sum()), float(x.max()))
 
 
 def extents(scene: Scene, positions: Positions, volume: float | Volumes) -> dict[str, Any]:
-    """`runout`, `front` and `toe` [m] of a summary, on the map where the box of the scene has an origin."""
+    """`runout`, `front` and `toe` [m] of a summary, in map coordinates if the box of the scene has an origin."""
     corner = scene.domain.corner
     return {
         "runout": float(corner[0] + runout(positions)),
@@ -69,8 +69,8 @@ def extents(scene: Scene, positions: Positions, volume: float | Volumes) -> dict
 
 
 def tail_weights(volume: Volumes) -> Floats:
-    """Weights w [-], shape [N], with which sum_i w_i x_i is the front of particles in the order of x. volume: of the
-    particles in this order. w_i is the integral of the fit's weight over the particle's step."""
+    """Weights w [-], shape [N], such that sum_i w_i x_i is the front of particles sorted by x. volume: of the particles
+    in this order. w_i is the integral of the fit's weight over the particle's step."""
     behind = np.append(0.0, np.cumsum(volume, dtype=np.float64))
     ahead = 1.0 - np.clip(behind / behind[-1], *TAIL)
     powers = np.array([0.0, 0.5, 1.0])
@@ -80,7 +80,7 @@ def tail_weights(volume: Volumes) -> Floats:
 
 
 def _integral(ahead: float | Floats, power: Floats) -> Floats:
-    """Of s^power over s = 1 - p from 0 to `ahead` [-]."""
+    """Integral of s^power over s = 1 - p from 0 to `ahead` [-]."""
     return np.asarray(ahead ** (power + 1.0) / (power + 1.0))
 
 
@@ -92,7 +92,7 @@ def toe(positions: Positions) -> tuple[float, ...]:
 
 
 def profile_stations(scene: Scene, spacing: float) -> Floats:
-    """The x [m] at which a height profile of `scene` is given, about `spacing` apart, walls included; shape [S]."""
+    """The x [m] of a height profile's stations in `scene`, about `spacing` apart, including walls; shape [S]."""
     length = scene.domain.size[0]
     return np.linspace(0.0, length, round(length / spacing) + 1)
 
@@ -100,9 +100,9 @@ def profile_stations(scene: Scene, spacing: float) -> Floats:
 def height_profile(positions: Positions, volume: float | Volumes, stations: Floats) -> Floats:
     """Height of the deposit at its initial density, per station [m], shape [S].
 
-    The volume of the particles (`volume` [m^D] each, one for all or shape [N]), shared linearly between the two nearest
-    stations and divided by the length that a station stands for (half of it at the walls): conserves volume and is
-    continuous in the positions. In 3D the volume is summed over z, so divide by the width for a mean height.
+    The volume of the particles (`volume` [m^D] each, one for all or shape [N]) is shared linearly between the two
+    nearest stations and divided by the length of a station (half at the walls). This conserves volume and is continuous
+    in the positions. In 3D the volume is summed over z, so divide by the width for a mean height.
     """
     spacing = stations[1] - stations[0]
     coordinate = np.clip((positions[:, 0].astype(np.float64) - stations[0]) / spacing, 0.0, len(stations) - 1.0)
@@ -121,11 +121,11 @@ def ends(positions: Positions, volume: Volumes) -> tuple[float, float]:
 
 
 SHARES = 20
-"""Parts of equal volume by whose places along x two deposits are compared."""
+"""Number of parts of equal volume whose places along x are compared between two deposits."""
 
 
 def equal_shares(positions: Positions, volume: Volumes) -> Floats:
-    """The x [m] of the middles of `SHARES` equal parts of a deposit's volume, from the rear on, shape [SHARES]."""
+    """The x [m] of the middles of `SHARES` equal parts of a deposit's volume, from the rear, shape [SHARES]."""
     x = positions[:, 0].astype(np.float64)
     order = np.argsort(x, kind="stable")
     whole = volume[order].astype(np.float64)
@@ -134,7 +134,7 @@ def equal_shares(positions: Positions, volume: Volumes) -> Floats:
 
 
 def transport_distance(positions: Positions, volume: Volumes, others: Positions, other_volume: Volumes) -> float:
-    """How far the parts of one deposit lie from those of another along x, rms over equal shares of the volume [m]."""
+    """Distance along x between equal volume shares of two deposits, rms over the shares [m]."""
     return rms(equal_shares(positions, volume) - equal_shares(others, other_volume))
 
 
@@ -144,12 +144,12 @@ def particle_spacing(volume: Volumes, dimension: int) -> float:
 
 
 def ground_of(scene: Scene) -> Ground:
-    """Of a scene: the highest terrain, or the floor; baffles and solids that are no terrain are not ground."""
+    """The ground of a scene: the highest terrain, or the floor; baffles and other solids are not ground."""
     return partial(elevation, scene.solids, scene.domain)
 
 
 def above(positions: Positions, ground: Ground) -> Floats:
-    """The positions with their heights counted from the ground below each [m], shape [N, D]."""
+    """The positions with heights above the ground below each [m], shape [N, D]."""
     raised = positions.astype(np.float64)
     raised[:, 1] -= ground(raised[:, ::2])
     return raised
@@ -161,7 +161,7 @@ def mean_height(positions: Positions, volume: Volumes) -> float:
 
 
 def thickness(positions: Positions, spacing: float, column: float, plan: Sequence[float]) -> Floats:
-    """Thickness of a deposit in columns of its plan [m], shape [X], in 3D [X, Z]: where the highest particle ends,
+    """Thickness of a deposit in columns of its plan [m], shape [X], in 3D [X, Z]: the top of the highest particle,
 
         h(c) = max over i in c of y_i, plus s / 2,    0 in columns without particles.
 
@@ -177,12 +177,12 @@ def thickness(positions: Positions, spacing: float, column: float, plan: Sequenc
 
 
 def bulk(positions: Positions, spacing: float, own_volume: float, column: float) -> float:
-    """Volume under the surface of a deposit over its particles' own [-]; 1 where no gaps are between them.
+    """Volume under the surface of a deposit over that of its particles [-]; 1 without gaps between them.
 
         sum_c h(c) w^(D - 1) / V,    h: `thickness`
 
     positions: with y from the ground; own_volume: V [m^D], of all these particles; column: w [m], a cell or two. The
-    highest particle of a column stands for the whole of it: that adds w tan(slope) / 2 to the mean thickness.
+    highest particle represents the whole column, which adds w tan(slope) / 2 to the mean thickness.
     """
     corner = column * np.floor(positions[:, ::2].min(axis=0).astype(np.float64) / column)
     moved = positions.astype(np.float64)
@@ -192,8 +192,8 @@ def bulk(positions: Positions, spacing: float, own_volume: float, column: float)
 
 
 def overlap(one: Floats, other: Floats) -> float:
-    """Plan that two deposits have in common over that of both [-], by their thickness in the same columns. A column is
-    covered where it is thicker than `OUTLINE` times the largest thickness of the first."""
+    """Common plan area of two deposits over the area of their union [-], from their thickness in the same columns. A
+    column is covered if it is thicker than `OUTLINE` times the largest thickness of the first."""
     covered, its = one > OUTLINE * one.max(), other > OUTLINE * one.max()
     return 1.0 - int((covered ^ its).sum()) / max(1, int((covered | its).sum()))
 
@@ -205,35 +205,35 @@ def error(title: str, unit: str = "%", *, exact: float = 0.0, signed: bool = Fal
 
 
 FACTORS = {"%": 100.0, "mm/s": 1000.0}
-"""Units of tables -> how many of them are 1 in SI units."""
+"""Unit of tables -> number of these units in one SI unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """How far one deposit is from another, the reference [-]; nan where that says nothing."""
+    """Errors of one deposit against another, the reference [-]; nan if not meaningful."""
 
     front: float = error("front", signed=True)
-    """Front beyond the reference's, over the extent from its rear to its front; see `Deposit.side`."""
+    """Front minus the reference's, over the extent from its rear to its front; see `Deposit.side`."""
     profile: float = error("profile")
-    """`transport_distance` over the extent: of places along x, blind to heights."""
+    """`transport_distance` over the extent: compares places along x, not heights."""
     height: float = error("mean height", signed=True)
-    """`mean_height` above the reference's, over that."""
+    """`mean_height` minus the reference's, over the reference's."""
     thickness: float = error("thickness")
     """Difference in `thickness`, rms over the columns where either deposit lies, over the reference's largest."""
     overlap: float = error("overlap in plan", exact=1.0)
-    """In plan, in 2D along x: `overlap`, 1 where the outlines are the same."""
+    """`overlap` in plan, in 2D along x; 1 if the outlines are equal."""
     creep: float = error("creep", "mm/s", default=math.nan)
     """`creep` of the deposit after the flow [m/s]."""
 
 
 def amounts(errors: Sequence[Errors]) -> dict[str, float]:
-    """Mean amount of each of the errors, by its name; nan where none is known."""
+    """Name -> mean absolute value of each error; nan if none is known."""
     values = {name: np.abs(signed) for name, (signed, _) in columns(errors).items()}
     return {name: float(amount.mean()) if len(amount) else math.nan for name, amount in values.items()}
 
 
 def summary(errors: Sequence[Errors]) -> dict[str, str]:
-    """The same by its title in words, with the worst of them: `1.2 % (+3.4)`; a dash where none is known."""
+    """Title -> the same as text, with the worst value: `1.2 % (+3.4)`; a dash if none is known."""
     texts = {}
     for values, about in columns(errors).values():
         factor, words = FACTORS[about["unit"]], "-"
@@ -245,7 +245,7 @@ def summary(errors: Sequence[Errors]) -> dict[str, str]:
 
 
 def columns(errors: Sequence[Errors]) -> dict[str, tuple[Floats, Mapping[str, Any]]]:
-    """The known values of each of the errors, shape [n], and what `error` says of it, by its name."""
+    """Name -> the known values of each error, shape [n], and its metadata from `error`."""
     by_name: dict[str, tuple[Floats, Mapping[str, Any]]] = {}
     for column in (column for column in fields(errors[0]) if column.metadata):
         values = np.array([getattr(record, column.name) for record in errors])
@@ -255,26 +255,26 @@ def columns(errors: Sequence[Errors]) -> dict[str, tuple[Floats, Mapping[str, An
 
 @dataclass(frozen=True, kw_only=True)
 class Deposit:
-    """Where a flow ends, beside which others are measured."""
+    """The deposit of a flow, with which others are compared."""
 
     positions: Positions
-    """[m], shape [N, D]."""
+    """Positions [m], shape [N, D]."""
     volume: Volumes
-    """Of the particles [m^D], shape [N]."""
+    """Volumes of the particles [m^D], shape [N]."""
     size: tuple[float, ...]
-    """Of the box [m], shape [D]."""
+    """Size of the box [m], shape [D]."""
     ground: Ground
-    """What it lies on."""
+    """The ground beneath it."""
     x: tuple[float, float]
-    """Of its ends, at smaller and at larger x [m]."""
+    """The x of its ends, the smaller and the larger one [m]."""
     side: int
-    """Which of them the flow has moved farther, 0 or 1: the front."""
+    """The end that the flow has moved farther, 0 or 1: the front."""
 
     @staticmethod
     def of_positions(
         start: Positions, end: Positions, volume: Volumes, size: tuple[float, ...], ground: Ground
     ) -> "Deposit":
-        """That of particles that moved from `start` to `end` [m], both [N, D]."""
+        """The deposit of particles that moved from `start` to `end` [m], both [N, D]."""
         before, after = ends(start, volume), ends(end, volume)
         side = int(after[1] - before[1] >= before[0] - after[0])
         return Deposit(positions=end, volume=volume, size=size, ground=ground, x=after, side=side)
@@ -291,11 +291,11 @@ class Deposit:
 
     @property
     def at_wall(self) -> bool:
-        """Whether the front leans on the wall ahead, which then bounds everyone's."""
+        """Whether the front touches the wall ahead, which then limits all fronts."""
         return (self.size[0] - self.front if self.side == 1 else self.front) < AT_WALL * self.size[0]
 
     def errors(self, positions: Positions, volume: Volumes) -> Errors:
-        """Those of another deposit of the same scene; thickness over a spacing where nothing lies in the box."""
+        """The errors of another deposit of the same scene; without material in the box, thickness is over a spacing."""
         beyond = ends(positions, volume)[self.side] - self.front
         deposits = ((self.positions, self.volume), (positions, volume))
         raised = [above(places, self.ground) for places, _ in deposits]
@@ -318,8 +318,8 @@ def thickness_apart(one: Floats, other: Floats) -> float:
 
 
 def creep(positions: Positions, step: float) -> float:
-    """Speed of a deposit [m/s] in a run until `AFTER` times the duration of its flow: rms over the particles of how far
-    each moves after the flow, over that time. positions: [m], shape [T, N, D]; step: between two of them [s]."""
+    """Speed of a deposit [m/s] in a run until `AFTER` times the duration of its flow: rms displacement of the particles
+    after the flow, over that time. positions: [m], shape [T, N, D]; step: between two of them [s]."""
     steps = (len(positions) - 1) // AFTER
     return rms(np.linalg.norm(positions[-1] - positions[steps], axis=1)) / ((len(positions) - 1 - steps) * step)
 

@@ -1,4 +1,4 @@
-"""What the particles of a flow give to the cells of a map: compiled, for in a large flow these are a billion shares."""
+"""Sums the shares of a flow's particles in the cells of a map; compiled, because a large flow has a billion shares."""
 
 from typing import Any
 
@@ -24,12 +24,12 @@ def add_to_plan(
 ) -> int:
     """Add to each cell its part of the volume of the particles around it and, if known, of volume times velocity.
 
-    The parts are those of `Grid.weights`, linear between the middles of cells.
+    The parts are those of `Grid.weights`, linear between cell centres.
 
     places, velocities: [m] and [m/s] before and after a time `elapsed` [s], shape [N, 3], velocities [0, 3] if they are
     not known; share: of that time, after which the particles have followed the cubic of both; limits: least and largest
-    coordinates, shape [2, 3], beyond which a particle gives nothing; cell: edge [m]; sums: [X, Z, 4]. Returns how many
-    cells have something now, from nothing; `touched`, of as many as there are, gets their numbers, Z fastest.
+    coordinates, shape [2, 3], beyond which a particle gives nothing; cell: edge [m]; sums: [X, Z, 4]. Returns the
+    number of cells that are no longer empty; `touched`, with room for all cells, gets their indices, Z fastest.
     """
     first, second = places
     slow, fast = velocities

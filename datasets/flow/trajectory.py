@@ -34,13 +34,13 @@ STORED: dict[str, tuple[type, str]] = {
     "pore_pressure": (np.float32, "TN"),
     "solid_impulse": (np.float64, "TBD"),
 }
-"""As what all but the positions is stored, and its axes: T frames, N particles, D dimensions, S stresses, B solids."""
+"""Array (except positions) -> stored type and axes: T frames, N particles, D dimensions, S stresses, B solids."""
 REQUIRED = ("positions", "time", "velocity0", "friction", "scene")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """The motion of the particles of a scene, frame by frame; from the MPM or from the GNS alike.
+    """The motion of the particles of a scene, frame by frame, from the MPM or the GNS.
 
     For example:
 
@@ -51,7 +51,7 @@ class Trajectory:
     """
 
     positions: Floats
-    """Positions [m], shape [T, N, D]; T counts the frames that were kept, which need not begin at the start."""
+    """Positions [m], shape [T, N, D]; T is the number of kept frames, which need not include the start."""
     time: NDArray[np.float64]
     """Time of each of these frames [s], shape [T]."""
     velocity0: Floats
@@ -59,16 +59,16 @@ class Trajectory:
     friction: Floats
     """tan(phi) of each particle [-], shape [N]."""
     scene: Scene
-    """The scene it came from; its `frame_dt` is that of `time`, unless not all frames were kept."""
+    """The scene of the flow; its `frame_dt` is that of `time`, unless not all frames were kept."""
     summary: dict[str, Any] = field(default_factory=dict)
-    """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.outcome`."""
+    """Cost and results: steps, wall seconds, energies, runout; see `mpm.output.outcome`."""
     volume: Floats | None = None
-    """Initial volume of each particle [m^D], shape [N]; absent where it is that of the scene's own particles."""
+    """Initial volume of each particle [m^D], shape [N]; None if it is that of the scene's own particles."""
     mass: NDArray[np.int32] | None = None
-    """Index of the scene's mass of each particle, shape [N]; absent where the particles are the scene's."""
+    """Index of the scene's mass of each particle, shape [N]; None if the particles are the scene's own."""
     entry_time: NDArray[np.float64] | None = None
-    """When each particle enters [s], shape [N]: until then it waits at that place and is no part of the flow, and its
-    initial velocity is that of then. Absent where all are there from the start."""
+    """Time at which each particle enters [s], shape [N]: until then it waits at its place of entry, outside the flow;
+    its initial velocity is that at entry. None if all are present from the start."""
     velocities: Floats | None = None
     """Velocities [m/s], shape [T, N, D]."""
     stress: Floats | None = None
@@ -98,15 +98,15 @@ class Trajectory:
         return np.full(count, True) if self.entry_time is None else np.asarray(self.entry_time <= time)
 
     def ending(self, summary: dict[str, Any]) -> "Trajectory":
-        """The last frame alone, with more in the summary; of arrays over time those that a run without fields has."""
+        """Only the last frame, with an extended summary and only the arrays over time of a run without fields."""
         over_time = ("positions", "time", "solid_impulse")
         last = {name: values[-1:] for name in over_time if (values := getattr(self, name)) is not None}
         return replace(self, **last, summary=self.summary | summary)
 
     @property
     def frame_dt(self) -> float:
-        """Time between two frames that were kept [s], the scene's where there is one frame alone. Raises InputError
-        where the frames are not evenly spaced in time."""
+        """Time between two kept frames [s], or the scene's if there is only one frame. Raises InputError if the frames
+        are not evenly spaced in time."""
         if len(self.time) == 1:
             return self.scene.frame_dt
         steps = np.diff(self.time)
@@ -114,13 +114,13 @@ class Trajectory:
         return float((self.time[-1] - self.time[0]) / len(steps))
 
     def arrays(self) -> dict[str, NDArray[Any] | str]:
-        """What a file holds besides the positions: the fields that there are; `scene` and `summary` as JSON."""
+        """The contents of a file without the positions: all present fields; `scene` and `summary` as JSON."""
         values = {key: getattr(self, key) for key in STORED}
         stored = {key: array.astype(STORED[key][0], copy=False) for key, array in values.items() if array is not None}
         return {**stored, "scene": self.scene.to_json(), "summary": json.dumps(self.summary)}
 
     def save(self, path: str | Path) -> None:
-        """Write an NPZ of plain arrays, or chunked HDF5 where the name ends in `.h5` (`datasets.flow.array_files`)."""
+        """Write an NPZ of plain arrays, or chunked HDF5 if the name ends in `.h5` (`datasets.flow.array_files`)."""
         path, arrays = Path(path), self.arrays()
         if path.suffix != HDF5:
             positions = np.asarray(self.positions, np.float32)
@@ -132,7 +132,7 @@ class Trajectory:
             file.put(**arrays)
 
     def view(self, path: str | Path | None = None, *, other: "Trajectory | None" = None) -> Path:
-        """Write one HTML page that any browser opens from disk, without a path into a temporary folder, and open it.
+        """Write one HTML page that any browser opens from disk; without a path, into a temporary folder, and open it.
 
             flow.view()
             flow.view("flow.html", other=gns.simulate("column-tall-42"))
@@ -140,7 +140,7 @@ class Trajectory:
         other: a flow to draw over this one. Returns the page's path. Raises InputError.
         """
         page = Path(mkdtemp(prefix="talus-")) / "flow.html" if path is None else Path(path)
-        # The one place where a module imports what stands above it, late: what draws imports this module.
+        # The only late import of a higher module: the drawing module imports this one.
         from datasets.exchange.page import write_view
 
         write_view(page, self, other)
@@ -150,15 +150,15 @@ class Trajectory:
 
     @staticmethod
     def load(path: str | Path) -> "Trajectory":
-        """Read what `save` wrote; never runs a pickle. Raises InputError, which names the file and the key."""
+        """Read a file of `save`; never executes a pickle. Raises InputError, which names the file and the key."""
         with naming(Path(path)):
             return _checked(read_arrays(Path(path)))
 
 
 def open_trajectory(path: str | Path, *fields: str, sound: bool = False) -> Trajectory:
-    """The trajectory at `path`, its positions read when they are used, without the summary and recorded fields but
-    `fields`, where they are there. Of the positions the first and the last frame are checked; sound: all are, against
-    the check sum of an NPZ. Raises InputError, which names the file and the key."""
+    """The trajectory at `path`, with positions read on use, and without the summary and recorded fields other than
+    `fields`. Only the first and the last frame of the positions are checked; sound: all are, by the checksum of an NPZ.
+    Raises InputError, which names the file and the key."""
     path = Path(path)
     needed = [key for key in REQUIRED if key != "positions"]
     arrays = read_arrays(path, *needed, optional=("volume", "mass", "entry_time", *fields))
@@ -206,7 +206,7 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
 
 
 def brackets(time: NDArray[np.float64], times: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """For each of `times` the frame before it and its fraction of the interval to the next, both of shape [M]."""
+    """For each of `times`, the frame before it and its fraction of the interval to the next one, both of shape [M]."""
     times = np.clip(times, time[0], time[-1])
     before = np.clip(np.searchsorted(time, times, side="right") - 1, 0, max(0, len(time) - 2))
     if len(time) == 1:
@@ -215,7 +215,7 @@ def brackets(time: NDArray[np.float64], times: NDArray[np.float64]) -> tuple[NDA
 
 
 def solid_names(scene: Scene) -> tuple[str, ...]:
-    """The names of what stands fixed in a scene's flow, in the order in which impulses are recorded."""
+    """The names of a scene's baffles and solids, in the order of the recorded impulses."""
     return tuple(getattr(solid, "name", None) or key for key, solid in keyed(scene, "baffles", "solids").items())
 
 
@@ -225,7 +225,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
 
 def trajectory_file(path: str | Path) -> Path:
-    """The file of a trajectory: at a path, or in the folder of a run."""
+    """The file of a trajectory at a path, or in the folder of a run."""
     path = Path(path)
     if not path.is_dir():
         return path
@@ -234,7 +234,7 @@ def trajectory_file(path: str | Path) -> Path:
 
 
 def trajectory_files(folder: Path) -> list[Path]:
-    """The trajectories in a folder by name; parts of files that a killed process left begin with a dot."""
+    """The trajectories in a folder, sorted by name; partial files of killed processes start with a dot."""
     return sorted(path for suffix in SUFFIXES for path in folder.glob(f"[!.]*{suffix}"))
 
 

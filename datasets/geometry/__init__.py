@@ -1,1 +1,1 @@
-"""Everything solid, as data: shapes, the files they come from, the boundary of their union, distances from it."""
+"""Solid geometry as data: shapes, their files, the boundary of their union, and distances from it."""

@@ -1,4 +1,4 @@
-"""Bodies that are no boxes: what shape a mass has, its exact volume, and the particles that fill it.
+"""Bodies that are no boxes: the shape of a mass, its exact volume, and the particles that fill it.
 
 A body is filled with the lattice of `datasets.scene.particles`, cut by its shape; each of the N particles has the
 volume of the shape over N. A particle that its jitter would put outside stays where the lattice has it. A layer's
@@ -29,15 +29,15 @@ from datasets.memory import require as require_memory
 from datasets.scene.parts import INFLOW, TOLERANCE, Domain, Mass, SceneLayout, keyed
 from datasets.schema import FARTHEST
 
-LATTICE = 40  # bytes that a coordinate of a lattice takes while it is made
-FAINT = 0.01  # thickness of a layer over that of a row, below which a column gets no particle
+LATTICE = 40  # bytes per coordinate of a lattice while it is made
+FAINT = 0.01  # thickness of a layer over the height of a row below which a column gets no particle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Filling:
     """The particles of a body, before their jitter; N of them."""
 
-    lattice: Floats  # their places [m], shape [N, D]; of a layer y counts from the ground
+    lattice: Floats  # their places [m], shape [N, D]; for a layer, y counts from the ground
     spacing: Floats  # of the lattice [m], shape [D]; of a layer whose thickness varies [N, D]
     volume: float  # of the body [m^D], which its particles share
     shares: Floats | None = None  # volume of each particle over the mean of all [-], [N]; None where all are alike
@@ -47,16 +47,16 @@ class Filling:
     raised: Callable[[Floats], Floats] = np.copy  # places of the lattice where they are in the box, both [N, D] in m
     cover: Callable[[Floats], Floats] | None = None  # depth of places below the top [m], [N]; else below the highest
     thickness: Floats | None = None  # of a layer at the places of its lattice [m], shape [N]
-    inflow: Inflow | None = None  # what enters, and when, of an inflow; its lattice are the places where
+    inflow: Inflow | None = None  # for an inflow: particles and times; the lattice holds the places of entry
     missed: Callable[[], float] = float  # share of the volume that is so thin that no particle is near; 0.0 of a layer
 
     def depth(self, positions: Floats) -> Floats:
-        """Of `positions` [N, D] below the top of the body, shape [N]; in m."""
+        """Depth of `positions` [N, D] below the top of the body, shape [N]; in m."""
         return np.asarray(self.upper[1] - positions[:, 1]) if self.cover is None else self.cover(positions)
 
     @property
     def height(self) -> float:
-        """Of the material over one place in plan, at most [m]: on a slope less than that of the box around it."""
+        """Largest height of the material over one place in plan [m]: on a slope, less than that of its box."""
         if self.inflow is not None:
             return self.inflow.depth
         plan = np.rint((self.lattice - self.lattice.min(axis=0)) / self.spacing).astype(np.int64)
@@ -76,7 +76,7 @@ class Filling:
 
 
 def with_boxes(scene: SceneLayout) -> tuple[Mass, ...]:
-    """The masses of `scene`, each with the box around it. Raises InputError for a shape that is none."""
+    """The masses of `scene`, each with the box around it. Raises InputError for an invalid shape."""
     masses = []
     for key, mass in keyed(scene, "masses").items():
         if mass.kind != "box":
@@ -91,7 +91,7 @@ def filling(scene: SceneLayout, mass: Mass, key: str = "masses") -> Filling:
     """The particles that fill a mass of `scene` that is no box. Raises InputError."""
     shape = dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None)
     terrains = [solid for solid in scene.solids if solid.kind == "terrain" and mass.kind in ("layer", INFLOW)]
-    # Without friction, so that scenes which differ by that alone share what is found.
+    # Without friction, so that scenes that differ only in friction share the result.
     ground = tuple(dataclasses.replace(solid, friction=0.0, turbulence=None) for solid in terrains)
     if mass.kind == INFLOW and mass.hydrograph is not None:
         shape = dataclasses.replace(shape, hydrograph=until(mass.hydrograph, scene.duration, f"{key}.hydrograph"))
@@ -107,7 +107,7 @@ def fill(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> 
     elif mass.kind == INFLOW:
         filled = entering(mass, domain, ground, share, key)
     else:
-        # Before it is filled: a mesh in millimetres would be a billion times as large.
+        # Checked before filling: a mesh in millimetres would be a billion times as large.
         low, high = np.min(np.array(mass.vertices), axis=0), np.max(np.array(mass.vertices), axis=0)
         inside = bool((low >= -TOLERANCE).all() and (high <= np.array(domain.size) + TOLERANCE).all())
         expected = f"a {mass.kind} inside the domain {list(domain.size)}"
@@ -118,7 +118,7 @@ def fill(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> 
 
 
 def entering(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Filling:
-    """What flows in, where it enters; the box around it is as long as it is deep."""
+    """The particles of an inflow at their places of entry; the box around it is as long as it is deep."""
     inlet = inflow(mass, domain, ground, share, key)
     places, size = inlet.places(), np.array(domain.size)
     inside = bool((places >= -TOLERANCE).all() and (places <= size + TOLERANCE).all())
@@ -148,7 +148,7 @@ def polygon(mass: Mass, share: float, key: str) -> Filling:
 
 def mesh(mass: Mass, share: float, key: str) -> Filling:
     """A closed surface of triangles in 3D."""
-    from scipy import ndimage  # commands on boxes alone start without these libraries
+    from scipy import ndimage  # commands with boxes only start without these libraries
 
     from datasets.geometry.nearest import inside
     from datasets.geometry.surface import boundary
@@ -158,7 +158,7 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     lattice, spacing = lattice_in(lower, upper, share)
     within = sliced(vertices, triangles, lattice)
-    # A particle all of whose neighbours in the lattice are in the body stays in it wherever its jitter puts it.
+    # A particle whose lattice neighbours are all in the body stays in it for any jitter.
     counts = np.rint((upper - lower) / spacing).astype(int)
     buried = ndimage.binary_erosion(within.reshape(counts), np.ones((3, 3, 3)), border_value=False).ravel()[within]
 
@@ -238,7 +238,7 @@ def layered(plan: "Plan", share: float) -> tuple[Floats, Floats, Floats | None]:
 
 
 class Plan:
-    """A layer in plan, in 2D a range of x, in 3D a polygon of x and z; how thick it is there. Raises InputError."""
+    """A layer in plan, in 2D a range of x, in 3D a polygon of x and z, and its thickness. Raises InputError."""
 
     def __init__(self, mass: Mass, domain: Domain, key: str) -> None:
         given, spatial = mass.thickness or 0.0, domain.dimension == 3
@@ -248,7 +248,7 @@ class Plan:
             expected = "x and z of a grid of thicknesses, and only of that"
             require((getattr(mass, name) is not None) == gridded, f"{key}.{name}", expected, "others")
         self.edges: tuple[Floats, ...] = ()
-        """Of the cells around the places where thicknesses are given, along each axis in plan [m]; none of a number."""
+        """Edges of the cells around the given thicknesses, along each axis in plan [m]; empty for a single number."""
         self.values = np.array(given, np.float64)  # the thickness [m]: a number, or that of each cell
         if isinstance(given, tuple):
             check_grid(mass, given, key, "thickness")
@@ -268,7 +268,7 @@ class Plan:
         if outline is not None and spatial:
             check_simple(outline, f"{key}.outline")
             shape = shape.intersection(shapely.Polygon(outline))
-        # In 2D as wide as 1 m.
+        # In 2D the width is 1 m.
         self.region = shape.intersection(shapely.box(0.0, 0.0, size[0], size[1] if spatial else 1.0))
         require(self.region.area > 0.0, key, "a layer that lies in the box", "one that in plan does not")
         shapely.prepare(self.region)
@@ -306,21 +306,21 @@ class Plan:
 
 
 def height(scene: SceneLayout, mass: Mass) -> float:
-    """Of the material of `mass` over one place in plan, at most [m]: of a layer its largest thickness."""
+    """Largest height of the material of `mass` over one place in plan [m]; for a layer, its largest thickness."""
     if mass.kind == "box":
         return mass.size[1]
     return float(np.max(mass.thickness or 0.0)) if mass.kind == "layer" else filling(scene, mass).height
 
 
 def scene_height(scene: SceneLayout) -> float:
-    """Of the material of all masses over one place in plan, at most [m]; air between them does not count."""
+    """Largest height of the material of all masses over one place in plan [m], without the air between them."""
     lower, size = (np.array([getattr(mass, key) for mass in scene.masses])[:, ::2] for key in ("lower", "size"))
     above = (np.abs(lower + 0.5 * size - (lower + 0.5 * size)[:, None]) <= 0.5 * size + TOLERANCE).all(axis=2)
     return float((above @ np.array([height(scene, mass) for mass in scene.masses])).max())
 
 
 def lattice_of(scene: SceneLayout, mass: Mass) -> Floats:
-    """Where the particles of a mass are before their jitter [m], shape [N, D]."""
+    """Positions of a mass's particles before their jitter [m], shape [N, D]."""
     if mass.kind == "box":
         lower = np.array(mass.lower)
         return lattice_in(lower, lower + np.array(mass.size), scene.particle_spacing)[0]

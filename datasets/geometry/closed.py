@@ -8,10 +8,10 @@ from datasets.errors import InputError
 from datasets.geometry.ground import TOUCHING, Floats, Integers
 
 STEEPEST = 4.0
-"""Slope, sideways over outwards, with which a face that ends on a side of the box is continued beyond it at most."""
+"""Largest slope, sideways over outwards, of the continuation of a face beyond a side of the box on which it ends."""
 NEARLY = 2.0e4
-"""Widest gap between solids that all but meet, over the distance at which they are one: a fiftieth of a cell."""
-POINTED = 10.0  # length over such a gap from which on solids beside each other are so along an edge
+"""Widest gap between solids that nearly meet, over the distance at which they are merged: a fiftieth of a cell."""
+POINTED = 10.0  # smallest length of an edge along which adjacent solids meet, over such a gap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +21,8 @@ class Body:
     vertices: Floats  # [m], shape [V, D]; in 2D one after the other, anticlockwise
     faces: Integers  # vertices of segments, the solid on the left, or of triangles, anticlockwise from outside, [F, D]
     friction: Floats  # Coulomb coefficient at each vertex [-], shape [V]
-    key: str  # where the solid stands in the scene, such as `solids[0]`
-    grows: bool = True  # by the gap that it closes to others: all but a raster, of which others touch a part alone
+    key: str  # key of the solid in the scene, such as `solids[0]`
+    grows: bool = True  # whether it grows to close gaps to others: all but rasters, which others touch only in part
 
 
 def ring(count: int) -> Integers:
@@ -31,14 +31,14 @@ def ring(count: int) -> Integers:
 
 
 def unit(vectors: Floats) -> Floats:
-    """Vectors of length 1; those of length 0 stay."""
+    """Vectors normalised to length 1; zero vectors are unchanged."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
 
 
 def pseudonormals(vertices: Floats, faces: Integers) -> tuple[Floats, Floats, Floats]:
-    """Unit normals of faces [F, D], 0 of one without area; of their corners [F, D, D], sums around the vertex, in 3D
-    weighted by angles; of triangles' edges [F, 3, D], none of segments (Baerentzen & Aanaes 2005)."""
+    """Unit normals of faces [F, D], 0 for one without area; of their corners [F, D, D], sums around the vertex, in 3D
+    weighted by angles; of the edges of triangles [F, 3, D], none for segments (Baerentzen & Aanaes 2005)."""
     corners = vertices[faces]
     edges = np.roll(corners, -1, axis=1) - corners
     angles = np.ones(faces.shape)
@@ -63,17 +63,17 @@ def pseudonormals(vertices: Floats, faces: Integers) -> tuple[Floats, Floats, Fl
 
 
 def snapped(vertices: Floats, axis: int, limit: float) -> Floats:
-    """Vertices [V, D], those that all but lie on a side of the box on it."""
+    """Vertices [V, D]; those within rounding of a side of the box are moved onto it."""
     moved = vertices.copy()
     moved[np.abs(moved[:, axis] - limit) <= TOUCHING, axis] = limit
     return moved
 
 
 def outside_of_box(body: Body) -> InputError:
-    """What is wrong with a body of which nothing lies in the box."""
+    """The error for a body that lies entirely outside the box."""
     return InputError("expected a solid that reaches into the domain, this one lies outside of it", key=body.key)
 
 
 def meet(first: str, second: str, shared: str, where: str) -> InputError:
-    """What is wrong with a solid that meets another one in less than it should share."""
+    """The error for a solid that meets another one in too small a contact."""
     return InputError(f"expected solids that overlap or share {shared}, got one that meets {first} {where}", key=second)

@@ -1,8 +1,8 @@
-"""Everything solid in a scene as contact finds it: faces that are listed, and the raster of a terrain in 3D itself.
+"""The solids of a scene for the contact search: listed faces, and the raster of a 3D terrain itself.
 
-Contact meets a smooth bed through the raster (`mpm.solids.bed`), of which no triangle is stored, and the faces of all
-other solids, which are united with each other (`datasets.geometry.surface`) but not with the terrain: where one of them
-stands in the ground, the nearer of both counts. What it stands on is no surface.
+Contact with a smooth bed uses the raster (`mpm.solids.bed`), of which no triangle is stored. The faces of all other
+solids are united with each other (`datasets.geometry.surface`) but not with the terrain: if one of them stands in the
+ground, the nearer of both counts. The face on which it stands is no surface.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from datasets.geometry.ground import ground_grid as grid_of
 from datasets.geometry.surface import Surface, solids_of, surface_in
 from datasets.scene.parts import Domain, SceneLayout, Solid
 
-DOWNWARD = -0.5  # upward component of the normal of faces that a solid stands on, where they lie in the ground
+DOWNWARD = -0.5  # largest upward component of the normal of faces on which a solid stands, if they lie in the ground
 PARTS = np.linspace(0.0, 1.0, 17).tolist()
 PLACES = np.array([[u, v, 1.0 - u - v] for u in PARTS for v in PARTS if u + v <= 1.0])
 """Weights of the corners at places all over a triangle."""
@@ -26,11 +26,11 @@ PLACES = np.array([[u, v, 1.0 - u - v] for u in PARTS for v in PARTS if u + v <=
 class HeightField:
     """A raster of X times Z posts, linear on two triangles a cell (`datasets.geometry.ground.grid_triangles`)."""
 
-    x: Floats  # of the posts [m], shape [X]: evenly apart but for one post at either end, far beyond the box
+    x: Floats  # of the posts [m], shape [X]: evenly spaced except one post at either end, far beyond the box
     z: Floats  # [m], shape [Z]
     heights: Floats  # [m], shape [X, Z]
-    friction: Floats  # Coulomb coefficient [-], shape [X, Z], or [1, 1] where it is one; inf without slip
-    solid: int  # its number among the solids of its scene
+    friction: Floats  # Coulomb coefficient [-], shape [X, Z], or [1, 1] if it is uniform; inf without slip
+    solid: int  # its index among the solids of its scene
 
     @property
     def steepest(self) -> float:
@@ -40,12 +40,12 @@ class HeightField:
         return float(np.hypot(along.max(), across.max()))
 
     def elevation(self, points: Floats) -> Floats:
-        """Of the raster over or under points [m], shape [N, 3]; shape [N]."""
+        """Elevation of the raster, shape [N], above or below points [m], shape [N, 3]."""
         return interpolated((self.x, self.z), self.heights, points[:, ::2])
 
     def around(self, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """x, z, heights and friction, both [X, Z], of the posts over a rectangle from `low` to `high` [m], shape [2].
-        With the cells around them, so that the normals inside are those of the whole raster."""
+        They include the cells around, so that the normals inside are those of the whole raster."""
         sides = (self.x, low[0], high[0]), (self.z, low[1], high[1])
         ends = [np.searchsorted(axis, (near - TOUCHING, far + TOUCHING)).tolist() for axis, near, far in sides]
         rows, columns = (slice(max(first - 2, 0), last + 2) for first, last in ends)
@@ -53,7 +53,7 @@ class HeightField:
         return self.x[rows], self.z[columns], self.heights[rows, columns], friction
 
     def triangles(self, low: Floats, high: Floats) -> Surface:
-        """Those of the posts `around` a rectangle."""
+        """The triangles of the posts `around` a rectangle."""
         x, z, heights, friction = self.around(low, high)
         plan = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
         vertices = np.stack([plan[..., 0], heights, plan[..., 1]], axis=-1).reshape(-1, 3)
@@ -64,7 +64,7 @@ class HeightField:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactSurface:
-    """The boundary of everything solid: F listed faces, and a raster."""
+    """The boundary of all solids: F listed faces, and a raster."""
 
     faces: Surface
     field: HeightField | None
@@ -110,7 +110,7 @@ def contact_surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[st
     down, kept = np.flatnonzero(surface.normals[:, 1] < DOWNWARD), np.full(len(surface.solid), True)
     places = np.einsum("pc,fcd->fpd", PLACES, surface.corners[down])
     above = places[:, :, 1] - field.elevation(places.reshape(-1, 3)).reshape(places.shape[:2])
-    kept[down] = (above > CLOSING * domain.cell).any(axis=1)  # but for those on the ground or in it
+    kept[down] = (above > CLOSING * domain.cell).any(axis=1)  # except those on the ground or in it
     faces = surface.chosen(kept)
     return ContactSurface(faces=replace(faces, solid=np.array(others, np.int32)[faces.solid]), field=field)
 

@@ -1,4 +1,4 @@
-"""The ground: lines and height fields of terrain, beyond the sides of the box, and their elevation anywhere in plan."""
+"""The ground: lines and height fields of terrain, extended beyond the box, and their elevation anywhere in plan."""
 
 import math
 from collections.abc import Sequence
@@ -17,13 +17,13 @@ Integers = NDArray[np.int64]
 Solids = tuple[Solid, ...]
 
 BEYOND = 8.0
-"""Cells by which a solid that reaches a side of the box goes on beyond it, so that none of its faces lies there."""
-TOUCHING = 1.0e-9  # distance [m] up to which lengths that a user wrote in decimals are the same
+"""Cells by which a solid that reaches a side of the box continues beyond it, so that none of its faces lies there."""
+TOUCHING = 1.0e-9  # distance [m] up to which lengths that a user wrote in decimals are equal
 CLOSING = 1.0e-6  # half of the widest gap, in cells, that touching solids leave between them by rounding
 
 
 def plan_axes(dimension: int) -> list[int]:
-    """The level axes: x and, in 3D, z."""
+    """The horizontal axes: x and, in 3D, z."""
     return list(range(0, dimension, 2))
 
 
@@ -40,8 +40,8 @@ def slopes_in_plan(scene: SceneLayout, grid: Grid) -> list[Floats]:
 
 
 def ground_raster(scene: SceneLayout, spacing: float) -> tuple[Floats, Floats, Integers]:
-    """`highest` of a scene at places `spacing` [m] apart, from the box's corner on; each of shape [X], in 3D [X, Z]. To
-    the first place at or beyond the end of the box."""
+    """`highest` of a scene at places `spacing` [m] apart, from the box's corner to the first place at or beyond its
+    end; each of shape [X], in 3D [X, Z]."""
     lengths = np.array(scene.domain.size)[plan_axes(scene.dimension)]
     axes = [spacing * np.arange(math.ceil(length / spacing - 1.0e-6) + 1) for length in lengths.tolist()]
     plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -51,20 +51,20 @@ def ground_raster(scene: SceneLayout, spacing: float) -> tuple[Floats, Floats, I
 
 
 def turbulence_raster(scene: SceneLayout, spacing: float) -> Floats | None:
-    """1 / xi [s^2/m] of the highest terrain at the same places, 0 where it has no turbulence; None where none has."""
+    """1 / xi [s^2/m] of the highest terrain at the same places, 0 where it has no turbulence; None if none has any."""
     if all(solid.turbulence is None for solid in scene.solids):
         return None
     drags = []
     for solid in scene.solids:
         drag = np.array(0.0 if solid.turbulence is None else 1.0 / np.array(solid.turbulence))
-        # As a friction it is interpolated as that is.
+        # Passed as a friction, it is interpolated like friction.
         drags.append(replace(solid, friction=tuple(map(tuple, drag.tolist())) if drag.ndim else float(drag)))
     return ground_raster(replace(scene, solids=tuple(drags), floor_friction=0.0), spacing)[1]
 
 
 def highest(solids: Solids, domain: Domain, plan: Floats, floor_friction: float) -> tuple[Floats, Floats, Integers]:
-    """Elevation [m], Coulomb coefficient [-] and number of the highest terrain at places in plan [m], [N, D - 1]. Each
-    of shape [N]; where no terrain is above it, that of the floor y = 0, whose number is -1."""
+    """Elevation [m], Coulomb coefficient [-] and index of the highest terrain at places in plan [m], [N, D - 1]; each
+    of shape [N]. Where no terrain is above the floor y = 0, those of the floor, with index -1."""
     height, friction, top = np.zeros(len(plan)), np.full(len(plan), floor_friction), np.full(len(plan), -1)
     for index, solid in enumerate(solids):
         if solid.kind != "terrain":
@@ -79,8 +79,8 @@ def highest(solids: Solids, domain: Domain, plan: Floats, floor_friction: float)
 
 @lru_cache(maxsize=4)
 def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], Floats, Floats]:
-    """x, in 3D and z, elevations [m] and friction of a terrain, both [X(, Z)], to some cells beyond the box. The same
-    arrays for the same terrain. Raises InputError unless it covers the box but for a cell."""
+    """x (in 3D x and z), elevations [m] and friction of a terrain, both [X(, Z)], to some cells beyond the box; cached
+    for equal terrain. Raises InputError unless it covers the box to within a cell."""
     if domain.dimension == 2:
         x, heights = np.array(solid.points, np.float64).T
         given, name, slack = [x], "points", [domain.cell]
@@ -103,9 +103,9 @@ def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], F
 
 
 def extended(at: Floats, values: Floats, length: float, beyond: float) -> tuple[Floats, Floats, Integers]:
-    """Coordinates [N] and values [N, ...] that begin before -beyond and end after length + beyond [m], and the places,
-    of those given, whose other properties they have. To the sides of the box, 0 and `length`, they go on level; from
-    there on as they arrive, where they end at a side."""
+    """Coordinates [N] and values [N, ...] extended from before -beyond to after length + beyond [m], and the index of
+    the given place whose other properties each has. They are level up to the sides of the box, 0 and `length`; if the
+    given ones end at a side, they continue beyond it with their slope."""
     place = np.arange(len(at))
     for limit, outer, first in ((0.0, -beyond, True), (length, length + beyond, False)):
         end, other = (0, 1) if first else (-1, -2)
@@ -122,7 +122,7 @@ def extended(at: Floats, values: Floats, length: float, beyond: float) -> tuple[
 
 
 def lowest_ground(domain: Domain, solid: Solid, key: str) -> float:
-    """The least elevation of a terrain in the box [m], in 3D at its posts. Raises InputError as `ground_grid`."""
+    """The smallest elevation of a terrain in the box [m], in 3D at its posts. Raises InputError as `ground_grid`."""
     axes, heights, _ = ground_grid(solid, key, domain)
     if domain.dimension == 2:
         return float(np.interp(np.clip(axes[0], 0.0, domain.size[0]), axes[0], heights).min())
@@ -131,8 +131,8 @@ def lowest_ground(domain: Domain, solid: Solid, key: str) -> float:
 
 
 def grid_triangles(values: Floats) -> Integers:
-    """The two triangles of every cell of a grid [X, Z], by the numbers of its nodes, anticlockwise from above; [T, 3].
-    They meet along the diagonal whose ends differ less: mirror images have mirrored triangles."""
+    """The two triangles of every cell of a grid [X, Z], by node index, anticlockwise from above; [T, 3]. They meet
+    along the diagonal whose ends differ less, so that mirror images have mirrored triangles."""
     number = np.arange(values.size).reshape(values.shape)
     a, b, c, d = (corner.ravel() for corner in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     height = values.ravel()
@@ -141,8 +141,8 @@ def grid_triangles(values: Floats) -> Integers:
 
 
 def interpolated(axes: Sequence[Floats], values: Floats, plan: Floats) -> Floats:
-    """Values of a line [X] or a grid [X, Z], beyond it of its edge, at `plan` [N, D - 1], linear on its segments or
-    triangles; shape [N]."""
+    """Values of a line [X] or a grid [X, Z] at `plan` [N, D - 1], linear on its segments or triangles, beyond it those
+    of its edge; shape [N]."""
     if len(axes) == 1:
         return np.asarray(np.interp(plan[:, 0], axes[0], values))
     (i, u), (k, v) = (linear(axis, plan[:, number]) for number, axis in enumerate(axes))
@@ -150,13 +150,13 @@ def interpolated(axes: Sequence[Floats], values: Floats, plan: Floats) -> Floats
 
 
 def linear(axis: Floats, at: Floats) -> tuple[Integers, Floats]:
-    """Which segment of an axis each place lies on, and the part of it that lies before; beyond its ends, its ends."""
+    """The segment of an axis on which each place lies, and its relative position on it; limited to the ends."""
     index = np.clip(np.searchsorted(axis, at, side="right") - 1, 0, len(axis) - 2)
     return index, np.clip((at - axis[index]) / (axis[index + 1] - axis[index]), 0.0, 1.0)
 
 
 def on_triangles(values: Floats, i: Integers, k: Integers, u: Floats, v: Floats) -> Floats:
-    """Values of a grid [X, Z] at the parts `u`, `v` of its cells `i`, `k`, linear on their triangles."""
+    """Values of a grid [X, Z] at relative positions `u`, `v` in its cells `i`, `k`, linear on their triangles."""
     a, b, c, d = values[i, k], values[i + 1, k], values[i + 1, k + 1], values[i, k + 1]
     along = np.where(u >= v, a + u * (b - a) + v * (c - b), a + v * (d - a) + u * (c - d))
     across = np.where(u + v <= 1.0, a + u * (b - a) + v * (d - a), c + (1.0 - u) * (d - c) + (1.0 - v) * (b - c))

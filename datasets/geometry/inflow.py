@@ -1,12 +1,12 @@
-"""What flows in through a section: its hydrograph, cut into particles that each enter at a time and a place.
+"""Inflow through a section: its hydrograph, divided into particles that each enter at a time and a place.
 
 Discharge Q and speed v are linear between the times of a hydrograph. Of N particles that share the volume of the
 inflow, V_p each, the i-th enters with v(t_i) when half of it has flowed in: int_0^{t_i} Q dt = (i + 1/2) V_p. So the
-volume of those that have entered is the integral of the discharge to half a particle, at any time. It enters in the
-area A = Q / v of the section, below a level that is the same all across and above the ground beneath it. Where, follows
-from a Kronecker sequence (Kuipers and Niederreiter 1974, section 2.3), the fractions of i / g and, in 3D, of i / g^2,
-with the golden ratio g^2 = g + 1, in 3D the plastic number g^3 = g + 1: shares of the area and of the depth there. So
-particles keep the distances of a lattice whatever speed and depth are. A section in 2D is one metre wide along z here.
+entered volume equals the integral of the discharge to within half a particle, at any time. A particle enters within the
+area A = Q / v of the section, between the ground and a level surface. A Kronecker sequence (Kuipers and Niederreiter
+1974, section 2.3) gives its place: the fractions of i / g and, in 3D, of i / g^2, with the golden ratio g^2 = g + 1, in
+3D the plastic number g^3 = g + 1, are shares of the area and of the depth there. Particles thus keep the distances of a
+lattice at any speed and depth. A section in 2D is one metre wide along z here.
 """
 
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ from datasets.memory import require as require_memory
 from datasets.scene.parts import TOLERANCE, Domain, Mass, Rows
 
 STEPS = {2: (0.0, 0.6180339887498949), 3: (0.7548776662466927, 0.5698402909980532)}
-"""From particle to particle, by dimension: of the share of the area, 0 or 1 / g, and of that of the depth."""
+"""Steps from particle to particle, by dimension: of the share of the area, 0 or 1 / g, and of the depth's share."""
 ASKEW, ROUNDING, HALVINGS = 1.0e-3, 1.0e-12, 60
-"""Cosine that counts as a right angle; rounding of a sum over strips; of a range in which the ground is looked for."""
+"""Cosine that counts as a right angle; rounding of a sum over strips; halvings of the range that holds the ground."""
 PORTION, PARTICLE = 2**22, 200
-"""Numbers of particles times strips that are computed together; bytes that a particle takes while it is made."""
+"""Number of particles times strips that are computed together; bytes per particle while it is made."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -33,11 +33,11 @@ class Inflow:
     """The particles of an inflow, N of them, and its section: the plane of `along` and `up` through `foot`."""
 
     domain: Domain
-    ground: Solids | None  # what the section stands on; None where it has an elevation of its own
+    ground: Solids | None  # ground on which the section stands; None if it has its own elevation
     hydrograph: Floats  # times [s], discharges [m^D/s] and speeds [m/s], shape [R, 3]
-    volume: float  # of all that enters [m^D]
-    time: Floats  # when each particle enters [s], shape [N], ascending
-    level: Floats  # how high the surface is above the foot then [m], shape [N]
+    volume: float  # total inflow [m^D]
+    time: Floats  # time at which each particle enters [s], shape [N], ascending
+    level: Floats  # height of the surface above the foot at that time [m], shape [N]
     foot: Floats  # the middle of the foot [m], shape [3]
     flow: Floats  # unit vector of the velocity, shape [3]
     along: Floats  # along the foot
@@ -47,17 +47,17 @@ class Inflow:
 
     @property
     def depth(self) -> float:
-        """The largest [m]."""
+        """The largest depth [m]."""
         return float(self.level.max() - self.bed.min())
 
     @property
     def velocities(self) -> Floats:
-        """With which the particles enter [m/s], shape [N, D]."""
+        """Velocities with which the particles enter [m/s], shape [N, D]."""
         speed = np.interp(self.time, self.hydrograph[:, 0], self.hydrograph[:, 2])
         return speed[:, None] * self.flow[: self.domain.dimension]
 
     def places(self, phase: Floats | float = 0.0) -> Floats:
-        """Where they enter [m], shape [N, D]; phase: of the sequence, shape [D], for other places of the same kind."""
+        """Places of entry [m], shape [N, D]; phase: of the sequence, shape [D], for other places of the same kind."""
         dimension, count = self.domain.dimension, len(self.time)
         shares = np.arange(count)[:, None] * STEPS[dimension] + np.broadcast_to(phase, dimension)[-2:]
         shares -= np.floor(shares)
@@ -80,7 +80,7 @@ class Inflow:
 
 
 def until(hydrograph: Rows, end: float, key: str) -> Rows:
-    """The rows of a hydrograph up to a time [s]. Raises InputError for one that is none."""
+    """The rows of a hydrograph up to a time [s]. Raises InputError for an invalid hydrograph."""
     check_rows(hydrograph, key, 3, least=2)
     time, discharge, speed = rows = np.array(hydrograph).T
     for index, row in enumerate(hydrograph):
@@ -97,7 +97,7 @@ def until(hydrograph: Rows, end: float, key: str) -> Rows:
 
 
 def inflow(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -> Inflow:
-    """What a mass of kind inflow brings, in particles of about `share` [m]. Raises InputError."""
+    """The inflow of a mass of kind inflow, in particles of about `share` [m]. Raises InputError."""
     hydrograph = np.array(mass.hydrograph) * [1.0, mass.discharge_factor or 1.0, 1.0]
     level = plan_axes(domain.dimension)
     ends, grounded = foot_of(mass, domain, ground, share, key)
@@ -124,10 +124,10 @@ def inflow(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) -
     row = np.clip(np.searchsorted(passed, entered, side="right") - 1, 0, len(time) - 2)
     missing, before = entered - passed[row], discharge[row]
     rising = (np.diff(discharge) / np.diff(time))[row]
-    # The root of missing = before t + rising t^2 / 2 that is exact also where nothing rises.
+    # The root of missing = before t + rising t^2 / 2 in a form that is exact even for rising = 0.
     time = time[row] + 2.0 * missing / (before + np.sqrt(np.maximum(before**2 + 2.0 * rising * missing, 0.0)))
     area = np.interp(time, *hydrograph[:, :2].T) / np.interp(time, *hydrograph[:, ::2].T)
-    # Under a level at the height of a strip lie all lower ones; above the highest the area grows with the whole width.
+    # A level at the height of a strip covers all lower ones; above the highest, the area grows with the whole width.
     heights = np.sort(bed)
     heights = np.append(heights, heights[-1] + area.max() / width)
     areas = np.append(0.0, np.cumsum(width / strips * np.arange(1, strips + 1) * np.diff(heights)))
@@ -161,8 +161,8 @@ def foot_of(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) 
 
 
 def direction_of(mass: Mass, domain: Domain, ground: Solids, line: Floats, along: Floats, key: str) -> Floats:
-    """The unit vector of the velocity, shape [3]: as given, else across the section, of which `line` are places [S, 3],
-    and down along the ground beneath; on level ground the one whose x is larger."""
+    """The unit vector of the velocity, shape [3]: as given, else across the section, whose places are `line` [S, 3],
+    and downslope along the ground beneath; on level ground, the direction with the larger x."""
     key = f"{key}.direction"
     if mass.direction is not None:
         check_vector(mass.direction, key, domain.dimension)

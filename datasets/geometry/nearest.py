@@ -1,7 +1,7 @@
-"""The nearest place of a surface and the signed distance from it, of the particles of a scene at its start.
+"""The nearest place of a surface and the signed distance from it, for the initial particles of a scene.
 
-The sign is that of the offset along the pseudonormal of the face, edge or corner that the foot lies on, which is right
-for every closed surface (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
+The sign is that of the offset along the pseudonormal of the face, edge or corner on which the foot lies, which is
+correct for every closed surface (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
 """
 
 from typing import NamedTuple
@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 from datasets.geometry.ground import Floats, Integers
 from datasets.geometry.surface import Surface
 
-PAIRS = 1_000_000  # pairs of a point and a face that are looked at together
+PAIRS = 1_000_000  # pairs of a point and a face that are computed together
 CLASSES = 2.0  # factor in size between the classes of faces that are searched together
-ROUNDING = 1.0e-12  # distance over the extent of the surface that is none
-INTERIOR = 1.0e-12  # share of a face within which a foot lies on its rim
+ROUNDING = 1.0e-12  # distance over the extent of the surface that counts as 0
+INTERIOR = 1.0e-12  # share of a face within which a foot lies on its edge
 
 
 class Nearest(NamedTuple):
@@ -25,12 +25,12 @@ class Nearest(NamedTuple):
     distance: Floats  # signed distance [m], negative inside the solid, shape [N]
     foot: Floats  # the nearest place [m], shape [N, D]
     normal: Floats  # out of the solid at the foot: along the offset, on the surface the pseudonormal; shape [N, D]
-    face: Integers  # the face that the foot lies on, shape [N]
+    face: Integers  # the face on which the foot lies, shape [N]
 
 
 def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest:
-    """The nearest places of `surface` for `points` [m], shape [N, D]. Of points farther than `within` [m] the distance
-    may be inf, which costs less; their foot is then some place near by."""
+    """The nearest places of `surface` for `points` [m], shape [N, D]. For points farther than `within` [m] the distance
+    may be inf, which costs less; their foot is then some nearby place."""
     points = np.atleast_2d(np.asarray(points, np.float64))
     search, portion = Search(surface), PAIRS // 50
     firsts = range(0, max(1, len(points)), portion)
@@ -60,7 +60,7 @@ class Search:
             self.classes.append((faces, cKDTree(self.centres[faces]), float(radii[faces].max())))
 
     def nearest(self, points: Floats, within: float) -> Nearest:
-        """The nearest places for `points` [N, D], of those farther than `within` [m] some near place."""
+        """The nearest places for `points` [N, D]; some nearby place for points farther than `within` [m]."""
         bound, nearest_centre, face = self.bound(points)
         best = np.full(len(points), np.inf)
         close = np.flatnonzero(nearest_centre <= within)
@@ -104,7 +104,7 @@ class Search:
                 if counts[group].sum():
                     members = faces[np.concatenate([lists[index] for index in group]).astype(np.int64)]
                     point = np.repeat(group, counts[group])
-                    # A face lies within its own radius of its centre, most have less than the largest of the class.
+                    # A face lies within its own radius of its centre, which is mostly smaller than its class's largest.
                     off = np.linalg.norm(points[point] - self.centres[members], axis=1)
                     kept = off <= (bound[point] + self.radii[members]) * (1.0 + 1.0e-9)
                     portions.append((point[kept], members[kept]))
@@ -135,7 +135,7 @@ def feet(corners: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
     else:
         weights = triangle_weights(corners, points)
     foot = np.einsum("nk,nkd->nd", weights, corners)
-    # An inexact weight must not make a corner or an edge nearer than it is: the foot is what is measured.
+    # Distances are measured to the foot, so that an inexact weight does not make a corner or an edge appear nearer.
     return foot, np.linalg.norm(points - foot, axis=-1), weights
 
 

@@ -1,4 +1,4 @@
-"""Where bodies stand: clear of solids and of each other, and how high above what is beneath them."""
+"""Placement of bodies: clearance from solids and from each other, and height above whatever is beneath them."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -22,7 +22,7 @@ SAMPLES = 32  # most places along an axis at which the height of a body above gr
 
 
 def check_overlaps(scene: SceneLayout) -> None:
-    """Raise InputError for a solid that is none, a body that overlaps a solid, or masses that overlap each other."""
+    """Raise InputError for an invalid solid, a body that overlaps a solid, or masses that overlap each other."""
     keys, boxes = zip(*keyed(scene, "masses", "baffles").items(), strict=True)
     shared = overlaps(boxes)
     shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of more boxes than one
@@ -31,7 +31,7 @@ def check_overlaps(scene: SceneLayout) -> None:
         raise InputError(f"expected a box clear of {keys[first]}, got an overlap", key=keys[second])
     if not has_shapes(scene):
         return
-    contact_surface_of(scene)  # says what is wrong with the shapes
+    contact_surface_of(scene)  # raises errors of the shapes
     for index, mass in enumerate(scene.masses):
         others: list[tuple[Mass | Solid, str]] = [*zip(*solids_of(scene), strict=True)]
         others += [(other, keys[number]) for number, other in enumerate(scene.masses[:index])]
@@ -45,7 +45,7 @@ def check_overlaps(scene: SceneLayout) -> None:
 
 
 def has_shapes(scene: SceneLayout) -> bool:
-    """Whether there is more in a scene than boxes along the axes."""
+    """Whether a scene has shapes other than boxes along the axes."""
     turned = any(baffle.turned_deg != 0.0 for baffle in scene.baffles)
     return bool(scene.solids) or turned or any(mass.kind != "box" for mass in scene.masses)
 
@@ -64,7 +64,7 @@ def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:
 
 
 def overlap(scene: SceneLayout, mass: Mass, other: Mass | Solid, key: str) -> bool:
-    """Whether a mass shares volume with another one or a solid: exactly, a layer and an inflow by their particles."""
+    """Whether a mass shares volume with another one or a solid: exactly, or for a layer or an inflow by particles."""
     if INFLOW in (mass.kind, other.kind) and isinstance(other, Mass):
         return False  # it may reach to the section
     if isinstance(other, Mass):
@@ -113,9 +113,9 @@ def body_near(solid: Solid, key: str, domain: Domain, places: Floats) -> Body:
 
 
 def remembers_gaps(scene: SceneLayout) -> bool:
-    """Whether gaps between particles are remembered: as `volume_correction` says, else where sand may fall or splash:
-    beside solids, where a mass has a velocity, however slow (or an unknown velocity would cross a jump), and where a
-    body is in flight. A column that collapses on a flat floor keeps its volume without."""
+    """Whether gaps between particles are remembered: as `volume_correction` says, else wherever sand may fall or
+    splash: beside solids, if a mass has any velocity (else an unknown velocity would cross a jump), and if a body is in
+    flight. A column that collapses on a flat floor keeps its volume without this."""
     if scene.volume_correction is not None:
         return scene.volume_correction
     thrown = any(mass.kind == INFLOW or np.any(mass.velocity) or np.any(mass.angular_velocity) for mass in scene.masses)
@@ -126,8 +126,8 @@ def remembers_gaps(scene: SceneLayout) -> bool:
 
 
 def heights_above_ground(scene: SceneLayout) -> Floats:
-    """Height [m] above what is beneath it of the body that each mass belongs to, [masses]; masses that touch are one
-    body, as high as the lowest: each above floor, box or solid, a layer at 0."""
+    """Height [m] of the body of each mass above floor, box or solid beneath it, [masses]; 0 for a layer. Touching
+    masses form one body, with the height of the lowest."""
     count, shaped = len(scene.masses), has_shapes(scene)
     lower, upper = corners(scene.masses if shaped else (*scene.masses, *scene.baffles))
     level = plan_axes(scene.dimension)
@@ -152,8 +152,8 @@ def heights_above_ground(scene: SceneLayout) -> Floats:
 
 
 def connected(lower: Floats, upper: Floats) -> NDArray[np.int32]:
-    """The number of the group of each box, shape [K]: boxes that share at least a corner are of one."""
-    from scipy.sparse.csgraph import connected_components  # imported here: who asks for help needs no graphs
+    """The number of the group of each box, shape [K]: boxes that share at least a corner form one group."""
+    from scipy.sparse.csgraph import connected_components  # imported here: --help does not need it
 
     touch = (lower[:, None] <= upper + TOLERANCE).all(axis=-1)
     group: NDArray[np.int32] = connected_components(touch & touch.T)[1]
@@ -161,7 +161,7 @@ def connected(lower: Floats, upper: Floats) -> NDArray[np.int32]:
 
 
 def underside(scene: SceneLayout, mass: Mass) -> Floats:
-    """Places on the underside of a body [m], shape [N, D]; of one that is no box those under all of its particles."""
+    """Places on the underside of a body [m], shape [N, D]; if it is no box, below all of its particles."""
     if mass.kind != "box":
         filled = filling(scene, mass)
         return np.asarray(filled.lattice - 0.5 * filled.spacing * np.eye(scene.dimension)[1])
@@ -177,7 +177,7 @@ def tops_beneath(surface: Surface, places: Floats, slack: float) -> Floats:
     """Elevation [m] of the highest place of the surface at or beneath each place [m], [N, D], or up to `slack` [m]
     above it; 0, the floor's, where there is none; shape [N]."""
     level = plan_axes(surface.dimension)
-    # Not more than rounding: the sides of a turned box have no area in plan.
+    # Above rounding only: the sides of a turned box have no area in plan.
     up = surface.normals[:, 1] > 1.0e-9
     corners, normals, plan = surface.corners[up], surface.normals[up], places[:, level]
     if surface.dimension == 2:

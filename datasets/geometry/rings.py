@@ -42,7 +42,7 @@ def lengthened_ring(body: Body, axis: int, limit: float, beyond: float) -> Body:
     """A ring whose edges on a side of the box are moved outwards, `beyond` it [m], along the faces that end there."""
     points, friction, out, across = body.vertices, body.friction, np.sign(beyond), 1 - axis
     on_side = points[:, axis] == limit
-    # Of several edges in a row on the side only the two outermost ends are continued.
+    # If several edges in a row lie on the side, only the two outermost ends are continued.
     kept = ~(on_side & np.roll(on_side, 1) & np.roll(on_side, -1))
     points, friction, on_side = points[kept], friction[kept], on_side[kept]
     count = len(points)
@@ -66,13 +66,13 @@ def lengthened_ring(body: Body, axis: int, limit: float, beyond: float) -> Body:
 
 def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
     """Vertices [V, 2] and segments [F, 2] of the union, friction at their ends [F, 2] and the body of each [F]. Closing
-    by a distance far below what matters merges rings that touch but for rounding."""
+    by a negligible distance merges rings that touch to within rounding."""
     grown = [Polygon(body.vertices).buffer(gap, join_style="mitre", mitre_limit=50.0) for body in bodies]
     closed = shapely.union_all(grown).buffer(-gap, join_style="mitre", mitre_limit=50.0)
     loops = []
     for part in map(orient, getattr(closed, "geoms", [closed])):
         loops += [np.array(loop.coords)[:-1] for loop in (part.exterior, *part.interiors)]
-    # Without points that are closer than rounding to the one before.
+    # Drop points within rounding of the previous one.
     loops = [loop[np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1) > 10.0 * gap] for loop in loops]
     corners = np.concatenate([body.vertices for body in bodies])
     loops = [split(loop, corners, 10.0 * gap) for loop in loops if len(loop) >= 3]
@@ -97,7 +97,7 @@ def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Fl
 def check_corners(
     vertices: Floats, owner: NDArray[np.int32], shapes: list[Polygon], keys: list[str], gap: float
 ) -> None:
-    """Raise InputError where solids in 2D meet in a point alone, but for what `gap` [m] on either side closes. There
+    """Raise InputError if solids in 2D meet only in a point, unless `gap` [m] on either side closes it. At such a point
     the boundary of their union has two corners in one place [m], [V, 2]; owner: the solid of each, [V]."""
     pairs = cKDTree(vertices).query_pairs(100.0 * gap, output_type="ndarray")
     for first, second in sorted({(min(pair), max(pair)) for pair in owner[pairs].tolist()}):
@@ -109,8 +109,8 @@ def check_corners(
 
 
 def check_near_corners(shapes: list[Polygon], keys: list[str], near: float) -> None:
-    """Raise InputError where solids in 2D come within `near` [m] in a point alone, as rounded corners do: where the
-    boundary of one is close to the other over less than `POINTED` times that, unless a third covers it."""
+    """Raise InputError if solids in 2D come within `near` [m] only in a point, as rounded corners do: the boundary of
+    one is close to the other over less than `POINTED` times that, unless a third covers it."""
     pairs = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=near)
     for first, second in pairs.T[pairs[0] < pairs[1]].tolist():
         one, other = shapes[first], shapes[second]
@@ -134,7 +134,7 @@ def friction_at(body: Body, positions: Floats) -> Floats:
 
 
 def split(loop: Floats, known: Floats, tolerance: float) -> Floats:
-    """A loop with the `known` corners that lie on its edges as points of its own: friction may change there."""
+    """A loop with the `known` corners that lie on its edges inserted as points, because friction may change there."""
     start, along = loop, np.roll(loop, -1, axis=0) - loop
     length = np.linalg.norm(along, axis=1)
     edges = shapely.STRtree(shapely.linestrings(np.stack([loop, np.roll(loop, -1, axis=0)], axis=1)))

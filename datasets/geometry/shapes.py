@@ -1,4 +1,4 @@
-"""Which keys give a solid or a mass its shape, and what each of them must be."""
+"""The keys of the shape of a solid or a mass, and their checks."""
 
 import itertools
 from collections.abc import Sequence
@@ -23,22 +23,22 @@ KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
     (Mass, "layer", 3): (("thickness",), ("origin", "spacing", "outline")),
     (Mass, INFLOW, 3): (("section", "hydrograph"), ("direction", "discharge_factor")),
 }
-"""Keys that a kind of solid or mass needs, and those that it may have; beside the box around a mass."""
+"""Kind of a solid or mass -> required and optional keys, in addition to the box around a mass."""
 
 
 def usual(number: float) -> bool:
-    """Whether a number is finite, and no larger than a length can be."""
+    """Whether a number is finite and within the largest length."""
     return abs(number) <= FARTHEST
 
 
 def check_kind(kind: str, group: type, key: str, dimension: int) -> None:
-    """Raise InputError unless solids or masses, `group`, have a kind of this name."""
+    """Raise InputError unless `group`, solids or masses, has a kind of this name."""
     kinds = [name for owner, name, axes in KEYS if (owner, axes) == (group, dimension)]
     require(kind in kinds, f"{key}.kind", f"{', '.join(kinds)} in {dimension}D", repr(kind))
 
 
 def check_shape(shape: Solid | Mass, key: str, dimension: int) -> None:
-    """Raise InputError unless a solid or a mass has the keys that its kind needs and none of another, with a shape."""
+    """Raise InputError unless a solid or a mass has exactly the keys of its kind, and a valid shape."""
     check_kind(shape.kind, type(shape), key, dimension)
     forms = {form: keys for form, keys in KEYS.items() if isinstance(shape, form[0])}
     needed, optional = KEYS[type(shape), shape.kind, dimension]
@@ -73,7 +73,7 @@ def check_rows(rows: Rows, key: str, width: int, *, least: int = 1) -> None:
 
 
 def check_grid(shape: Solid | Mass | Water, values: Rows, key: str, name: str) -> None:
-    """Raise InputError unless `values`, of the key `name`, are numbers on a grid in x and z, of a surface 2 x 2."""
+    """Raise InputError unless `values` in key `name` are numbers on a grid in x and z, for a surface 2 x 2 or more."""
     least = 1 if name == "thickness" else 2
     check_vector(shape.origin or (), f"{key}.origin", 2)
     check_vector(shape.spacing or (), f"{key}.spacing", 2)
@@ -83,7 +83,7 @@ def check_grid(shape: Solid | Mass | Water, values: Rows, key: str, name: str) -
 
 
 def check_solid(solid: Solid, key: str, dimension: int) -> None:
-    """Raise InputError for a solid that is none in `dimension` dimensions, wherever it lies."""
+    """Raise InputError for a solid that is invalid in `dimension` dimensions, wherever it lies."""
     check_shape(solid, key, dimension)
     turned = solid.turned_deg
     require(usual(turned) and (turned == 0.0 or solid.kind == "box"), f"{key}.turned_deg", "a turn of a box", turned)

@@ -1,4 +1,4 @@
-"""Closed surfaces in three dimensions, triangles, by manifold3d: turned outwards, cut, continued, united, cut level."""
+"""Closed surfaces of triangles in 3D, by manifold3d: turned outwards, cut, continued, united, sliced horizontally."""
 
 import warnings
 from collections.abc import Iterator
@@ -15,22 +15,22 @@ from datasets.geometry.closed import NEARLY, POINTED, Body, meet, outside_of_box
 from datasets.geometry.ground import Floats, Integers
 
 SHARED = 1.0e-6  # share of a volume that rounding may change
-FLAT = 1.0e-6  # what makes the place of a vertex between faces of one plane unique [-]
-NARROW = 100.0  # width, over the distance by which bodies have grown, up to which what they share is no face
+FLAT = 1.0e-6  # regularisation that makes the place of a vertex between coplanar faces unique [-]
+NARROW = 100.0  # width of a shared region, over the distance by which bodies have grown, up to which it is no face
 MOST_TRIANGLES = 20_000
-"""Of two bodies that are looked at, such as boxes and meshes, not terrain: a boolean of more takes seconds."""
+"""Most triangles of two compared bodies, such as boxes and meshes, not terrain: a boolean of more takes seconds."""
 
 
 def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = None) -> Manifold:
-    """A closed surface as the library takes it, with the friction of its vertices where given."""
+    """A closed surface in the form of the library, with the friction of its vertices if given."""
     values = vertices if friction is None else np.column_stack([vertices, friction])
     mesh = Mesh64(np.ascontiguousarray(values), np.ascontiguousarray(triangles, np.uint64))
     return Manifold(mesh)
 
 
 def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, Integers]:
-    """Vertices [V, 3] and triangles [T, 3] of a closed surface, turned outwards, its shells united: one that faces
-    inwards within others is a cavity; what they share counts once, which is said. Raises InputError."""
+    """Vertices [V, 3] and triangles [T, 3] of a closed surface, turned outwards, with its shells united: one that faces
+    inwards within others is a cavity; shared volume counts once, with a warning. Raises InputError."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     _, number = np.unique(edges, axis=0, return_counts=True)
     opened, odd = int((number == 1).sum()), int((number % 2 == 1).sum())
@@ -64,7 +64,7 @@ def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, In
 
 
 def cut_surface(body: Body, axis: int, limit: float, out: float) -> Body:
-    """The part of triangles within a side of the box. Raises InputError where there is none."""
+    """The part of triangles within a side of the box. Raises InputError if there is none."""
     inward = tuple((-out * np.eye(3)[axis]).tolist())
     part = manifold(body.vertices, body.faces).trim_by_plane(inward, -out * limit)
     if part.is_empty():
@@ -75,7 +75,7 @@ def cut_surface(body: Body, axis: int, limit: float, out: float) -> Body:
 
 
 def lengthened_surface(body: Body, axis: int, limit: float, beyond: float) -> Body | None:
-    """Triangles whose faces on a side of the box are moved outwards, `beyond` it [m]; None where none lies there."""
+    """Triangles whose faces on a side of the box are moved outwards, `beyond` it [m]; None if none lies there."""
     vertices, triangles, friction = body.vertices, body.faces, body.friction
     on_side = (vertices[triangles][..., axis] == limit).all(axis=1)
     if not on_side.any():
@@ -98,7 +98,7 @@ def lengthened_surface(body: Body, axis: int, limit: float, beyond: float) -> Bo
 
 def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
     """Vertices [V, 3] and triangles [F, 3] of the union, friction at their corners [F, 3] and the body of each [F].
-    Every body but rasters grows by `gap`, so that those that touch but for rounding share volume."""
+    Every body except rasters grows by `gap`, so that bodies that touch to within rounding share volume."""
     parts, numbers = [], {}
     for number, body in enumerate(bodies):
         part = manifold(grown(body, gap) if body.grows else body.vertices, body.faces, body.friction).as_original()
@@ -113,15 +113,15 @@ def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers,
     for original, first, last in zip(mesh.run_original_id, starts[:-1], starts[1:], strict=True):
         owner[first:last] = numbers[int(original)]
     friction = values[:, 3][triangles]
-    # Vertices where solids meet stand in the mesh once for each body.
+    # The mesh has a vertex for each body where solids meet.
     same = np.arange(len(values))
     same[np.array(mesh.merge_from_vert, np.int64)] = np.array(mesh.merge_to_vert, np.int64)
     return values[:, :3], same[triangles], friction, owner
 
 
 def check_lines(bodies: list[Body], parts: list[Manifold], gap: float) -> None:
-    """Raise InputError where solids in 3D meet in a point or along a line alone, which no third solid covers. parts:
-    the solids, each grown by `gap` [m]; those within NEARLY gaps of each other grow by half of that."""
+    """Raise InputError if solids in 3D meet only in a point or along a line, which no third solid covers. parts: the
+    solids, each grown by `gap` [m]; those within NEARLY gaps of each other grow by half of that."""
     near = NEARLY * gap
     for first, second in near_pairs(parts, near):
         pair, wide, narrow, apart = [parts[first], parts[second]], gap, NARROW, ""
@@ -137,9 +137,9 @@ def check_lines(bodies: list[Body], parts: list[Manifold], gap: float) -> None:
 
 
 def line_shared(one: Manifold, other: Manifold, others: list[Manifold], gap: float, narrow: float) -> str:
-    """Where two solids, grown by `gap` [m], share less than a face that is `narrow` gaps wide; empty where nowhere.
-    Those that share a face of width w then have a layer of the surface 2 w L in common, with L its diagonal; of an edge
-    it is 8 gap L. What others cover by half does not count."""
+    """Where two solids, grown by `gap` [m], share less than a face that is `narrow` gaps wide; empty if nowhere. Solids
+    that share a face of width w then have a common layer of surface 2 w L, with L its diagonal; for an edge it is
+    8 gap L. Regions that others cover by half do not count."""
     for shared in (one ^ other).decompose():
         low, high = np.array(shared.bounding_box()).reshape(2, 3)
         length = float(np.linalg.norm(high - low))
@@ -152,7 +152,7 @@ def line_shared(one: Manifold, other: Manifold, others: list[Manifold], gap: flo
 
 
 def near_pairs(parts: list[Manifold], near: float) -> Iterator[tuple[int, int]]:
-    """Numbers of solids whose boxes come within `near` [m] of each other and that are not too fine to be compared."""
+    """Index pairs of solids whose boxes come within `near` [m] of each other and that are not too fine to compare."""
     bounds = np.array([part.bounding_box() for part in parts]).reshape(-1, 2, 3)
     for first, second in combinations(range(len(parts)), 2):
         lower, upper = bounds[[first, second], 0].max(axis=0), bounds[[first, second], 1].min(axis=0)
@@ -161,8 +161,8 @@ def near_pairs(parts: list[Manifold], near: float) -> Iterator[tuple[int, int]]:
 
 
 def grown(body: Body, gap: float) -> Floats:
-    """The vertices [V, 3] of a body whose faces have all moved outwards by `gap` [m]. A vertex moves by the least d for
-    which n . d = gap of its faces' normals n, in the mean square where they are many."""
+    """The vertices [V, 3] of a body whose faces have all moved outwards by `gap` [m]. A vertex moves by the smallest d
+    with n . d = gap for its faces' normals n, in least squares if there are many."""
     normals, _, _ = pseudonormals(body.vertices, body.faces)
     matrix, right = np.zeros((len(body.vertices), 3, 3)), np.zeros((len(body.vertices), 3))
     for corner in range(3):
@@ -173,13 +173,13 @@ def grown(body: Body, gap: float) -> Floats:
 
 
 def sliced(vertices: Floats, triangles: Integers, lattice: Floats) -> NDArray[np.bool_]:
-    """Which places of a lattice [m], shape [N, 3], lie in a closed surface, by level cuts through it; shape [N]."""
+    """Which places of a lattice [m], shape [N, 3], lie in a closed surface, by horizontal slices; shape [N]."""
     body = manifold(vertices[:, [0, 2, 1]], triangles[:, ::-1])  # the library cuts across its third axis
     within = np.zeros(len(lattice), bool)
     for level in np.unique(lattice[:, 1]):
         here = np.flatnonzero(lattice[:, 1] == level)
         rings = [shapely.Polygon(ring) for ring in body.slice(float(level)).to_polygons() if len(ring) >= 3]
         for ring in rings:
-            # A ring inside another one is a hole.
+            # A ring inside another ring is a hole.
             within[here] ^= np.asarray(shapely.contains_xy(ring, lattice[here, 0], lattice[here, 2]), bool)
     return within

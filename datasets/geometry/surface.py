@@ -1,8 +1,8 @@
 """The boundary of everything solid in a scene, as segments or triangles with normals, labels and friction.
 
-All baffles and solids of a scene are one solid in contact, their union: what touches has no joint between. It goes on
-some cells beyond the box where it reaches a side of it, so that no face lies on a side. The sign of a distance from it
-comes from angle-weighted pseudonormals (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
+For contact, all baffles and solids of a scene form one solid, their union, without joints between touching ones. Where
+it reaches a side of the box it continues some cells beyond, so that no face lies on a side. The sign of a distance from
+it comes from angle-weighted pseudonormals (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
 """
 
 import itertools
@@ -21,12 +21,12 @@ from datasets.geometry.rings import check_simple, cut_ring, lengthened_ring, uni
 from datasets.geometry.shells import cut_surface, lengthened_surface, outward, union_of_surfaces
 from datasets.scene.parts import ROUGH, Domain, SceneLayout, Solid, coefficient, keyed
 
-KEPT = 3.0  # cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)
+KEPT = 3.0  # cells beyond the box up to which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)
 CORNERS = {
     2: np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]),
     3: np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64),
 }
-"""Of the unit square and of the unit cube, whose last coordinate changes fastest."""
+"""Corners of the unit square and of the unit cube, whose last coordinate changes fastest."""
 SIDES = [
     *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]),  # x = 0, x = 1
     *([0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]),  # y = 0, y = 1
@@ -43,12 +43,12 @@ class Surface:
     normals: Floats  # outward unit normals, shape [F, D]
     corner_normals: Floats  # pseudonormals at the corners, of unit length, shape [F, D, D]
     edge_normals: Floats  # the same of edges of triangles, [F, 3, 3], k from corner k to k + 1; in 2D [F, 0, 2]
-    solid: NDArray[np.int32]  # which each face belongs to: first the scene's baffles, then its solids; shape [F]
+    solid: NDArray[np.int32]  # solid of each face: first the scene's baffles, then its solids; shape [F]
     friction: Floats  # Coulomb coefficient at the corners [-], linear between them; inf without slip; shape [F, D]
 
     @classmethod
     def empty(cls, dimension: int) -> "Surface":
-        """That of nothing."""
+        """An empty surface."""
         corners, edges = np.zeros((0, dimension, dimension)), np.zeros((0, 3, 3) if dimension == 3 else (0, 0, 2))
         return cls(corners, corners[:, 0], corners, edges, np.zeros(0, np.int32), corners[:, 0])
 
@@ -63,7 +63,7 @@ class Surface:
 
 
 def surface_of(scene: SceneLayout) -> Surface | None:
-    """The surface of all baffles and solids of `scene`, the same object for the same ones; None where it has none.
+    """The surface of all baffles and solids of `scene`, cached as one object for equal ones; None without any.
     Raises InputError."""
     if not scene.baffles and not scene.solids:
         return None
@@ -71,8 +71,8 @@ def surface_of(scene: SceneLayout) -> Surface | None:
 
 
 def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
-    """Everything solid in `scene`, in the order of its numbers, and the keys of each; without their turbulence, so that
-    scenes which differ by that alone share their surface."""
+    """All solids of `scene`, in the order of their numbers, and the key of each; without turbulence, so that scenes
+    that differ only in turbulence share their surface."""
     baffles = []
     for baffle in scene.baffles:
         friction = scene.friction_of(baffle)
@@ -96,7 +96,7 @@ def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...])
 
 
 def boundary(bodies: list[Body], gap: float) -> Surface:
-    """The boundary of the union of `bodies`; those that are no more than `gap` [m] apart are one."""
+    """The boundary of the union of `bodies`; those at most `gap` [m] apart are merged."""
     if len(bodies) == 1:
         (body,) = bodies
         vertices, faces, friction = body.vertices, body.faces, body.friction[body.faces]
@@ -120,7 +120,7 @@ def body_of(solid: Solid, key: str, box: Domain) -> Body:
 
 
 def closed_body(solid: Solid, key: str, box: Domain) -> Body:
-    """The surface of `solid` itself; of a terrain of all that is below it, some cells beyond the box."""
+    """The surface of `solid` itself; for a terrain, of everything below it, to some cells beyond the box."""
     dimension = box.dimension
     if solid.kind == "terrain":
         return ground_body(solid, key, box)
@@ -145,7 +145,7 @@ def closed_body(solid: Solid, key: str, box: Domain) -> Body:
 
 
 def ground_body(solid: Solid, key: str, box: Domain) -> Body:
-    """All that lies below a terrain, some cells beyond the box; it goes on level, or straight from a side."""
+    """Everything below a terrain, to some cells beyond the box, where it continues level, or straight from a side."""
     axes, heights, friction = ground_grid(solid, key, box)
     deep = min(0.0, float(heights.min())) - BEYOND * box.cell
     if len(axes) == 1:
@@ -160,7 +160,7 @@ def ground_body(solid: Solid, key: str, box: Domain) -> Body:
 
 
 def raster_body(x: Floats, z: Floats, heights: Floats, friction: Floats, *, deep: float, key: str) -> Body:
-    """All that lies between posts at x, z with `heights` and `friction`, both [X, Z], and the level `deep`; in m."""
+    """The body between posts at x, z with `heights` and `friction`, both [X, Z], and the level `deep`; in m."""
     plan = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
     top = np.stack([plan[..., 0], heights, plan[..., 1]], axis=-1).reshape(-1, 3)
     number = np.arange(len(top)).reshape(len(x), len(z))
@@ -178,8 +178,8 @@ def raster_body(x: Floats, z: Floats, heights: Floats, friction: Floats, *, deep
 
 
 def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
-    """The body cut off at a side of the box (0 or 1 of `axis`) and continued beyond, where it reaches the side. Raises
-    InputError where nothing of it lies in the box."""
+    """The body cut off at a side of the box (0 or 1 of `axis`) and, if it reaches the side, continued beyond. Raises
+    InputError if nothing of it lies in the box."""
     limit, out = (box.size[axis], 1.0) if side else (0.0, -1.0)
     within = replace(body, vertices=snapped(body.vertices, axis, limit))
     height = out * (within.vertices[:, axis] - limit)

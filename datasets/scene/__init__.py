@@ -1,4 +1,4 @@
-"""What a scene is: its parts, bounds and checks, its particles; scenes that ship."""
+"""Scenes: their parts, bounds and checks, their particles, and the shipped scenes."""
 
 from datasets.scene.parts import DOMAIN_SIDES as DOMAIN_SIDES
 from datasets.scene.parts import INFLOW as INFLOW

@@ -1,4 +1,4 @@
-"""What the parts of a scene must fulfil together to be simulated; each key with what is expected of it."""
+"""Checks that the parts of a scene fit together and can be simulated; each names a key and the expected value."""
 
 import dataclasses
 import itertools
@@ -16,26 +16,26 @@ from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, S
 from datasets.scene.water import consolidation, saturated
 from datasets.schema import FARTHEST
 
-MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28  # of the box: what 32 bits count
+MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28  # of the box, within what 32 bits count
 MOST_PARTICLES = 2**30
 MOST_FRAMES = 10_000_000
-MOST_BODIES = 4096  # masses, baffles and solids: each pair of them is compared
+MOST_BODIES = 4096  # masses, baffles and solids, each pair of which is compared
 TALL, STEEPEST = 2.0, 10.0
-"""Thickness of a layer over its length, and Coulomb coefficient, that look like another unit's."""
+"""Thickness of a layer over its length, and Coulomb coefficient, above which the unit looks wrong."""
 ROUGHEST = 20.0  # turbulent coefficient [m/s^2] below which no published one lies (Voellmy's xi: 100 to 8000 m/s^2)
 LOST = 1.0e-6  # share of a layer that rounding may put beyond a side of the box
-SMALL_ANGLE = 3.0  # angle of friction [deg] below which no sand is: one in radians is
-SLACK = 1.0e-3  # relative, of a limit that a user wrote in decimals
-LIGHT, WATER = 30.0, 1000.0  # density [kg/m^3] below which no soil and no snow is; that of water
+SMALL_ANGLE = 3.0  # friction angle [deg] below that of any sand: probably in radians
+SLACK = 1.0e-3  # relative tolerance for a limit that a user wrote in decimals
+LIGHT, WATER = 30.0, 1000.0  # densities [kg/m^3]: below that of any soil or snow; of water
 FASTEST, DAY, YEAR = 10.0, 86400.0, 365.25 * 86400.0
-"""Coefficient of consolidation [m^2/s] above which no soil's is; seconds of a day and of a year."""
+"""Coefficient of consolidation [m^2/s] above that of any soil; seconds of a day and of a year."""
 WEAKEST = 5.0e-4  # cohesion over the pressure rho g h under a body below which it looks like one in kPa
 SOFTEST = 10.0
-"""Young's modulus over the pressure rho g h under a body, below which it sinks by a twentieth of its height or more."""
+"""Young's modulus over the pressure rho g h under a body, below which the body settles by 5 % of its height or more."""
 
 
 def checked(scene: SceneLayout) -> SceneLayout:
-    """The scene with the boxes around its masses, where all of it fits together. Raises InputError."""
+    """The scene, checked, with the boxes around its masses. Raises InputError if the parts do not fit together."""
     check_sizes(scene)  # first of all, because shapes are filled with particles before the rest is checked
     for key, solid in keyed(scene, "solids").items():
         check_solid(solid, key, scene.dimension)
@@ -51,7 +51,7 @@ def checked(scene: SceneLayout) -> SceneLayout:
 
 
 def check_sizes(scene: SceneLayout) -> None:
-    """Raise InputError where the box, the times or the number of anything are beyond what can be counted."""
+    """Raise InputError if the box, the times or a number of parts exceed what can be counted."""
     domain = scene.domain
     cells = [length / domain.cell for length in domain.size]
     fits = all(0.0 < length <= FARTHEST for length in domain.size) and all(map(whole, cells))
@@ -69,12 +69,12 @@ def check_sizes(scene: SceneLayout) -> None:
 
 
 def whole(count: float) -> bool:
-    """Whether a number is a whole one of at least 1, but for rounding."""
+    """Whether a number is an integer of at least 1, within rounding."""
     return 0.5 <= count < MOST_CELLS and abs(count - round(count)) < 1e-6 * count
 
 
 def check(scene: SceneLayout) -> None:
-    """Raise InputError for a scene that cannot be simulated: each key with what was expected of it."""
+    """Raise InputError, which names the key and the expected value, for a scene that cannot be simulated."""
     domain, dimension = scene.domain, scene.dimension
     require(len(scene.masses) > 0, "masses", "at least one mass", "none")
     for key, box in keyed(scene, "masses", "baffles").items():
@@ -96,10 +96,10 @@ def check(scene: SceneLayout) -> None:
         require(side in sides, f"open_sides[{index}]", f"one of {', '.join(sides)}", repr(side))
         require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))
     for key, mass in keyed(scene, "masses").items():
-        if mass.kind == "box":  # other shapes say what is wrong with them when they are filled
+        if mass.kind == "box":  # other shapes are checked when they are filled
             check_shape(mass, key, dimension)
         check_start(scene, mass, key)
-    # Other shapes than boxes say so when they are filled.
+    # The particles of other shapes are counted when they are filled.
     sizes = [[length / scene.particle_spacing for length in mass.size] for mass in scene.masses if mass.kind == "box"]
     count = sum(math.prod(max(1, round(length)) for length in size) for size in sizes)
     require(count <= MOST_PARTICLES, "masses", f"at most {MOST_PARTICLES} particles, so larger cells", f"{count:.3g}")
@@ -113,7 +113,7 @@ def check(scene: SceneLayout) -> None:
 
 
 def check_start(scene: SceneLayout, mass: Mass, key: str) -> None:
-    """Raise InputError for a mass that cannot begin as its velocities, its `k0` and its `release` ask."""
+    """Raise InputError for a mass whose velocities, `k0` and `release` are not compatible with it or each other."""
     dimension, velocity, turn = scene.dimension, mass.velocity, mass.angular_velocity
     k0, release = mass.k0, mass.release
     for name in ("velocity", "angular_velocity", "k0") if mass.kind == INFLOW else ():
@@ -142,9 +142,9 @@ def check_k0(scene: SceneLayout) -> None:
 
         K_a - 2 (c / sigma_v) sqrt(K_a) <= K0 <= K_p + 2 (c / sigma_v) sqrt(K_p),    K_a = 1 / K_p = tan^2(45 - phi / 2)
 
-    with sigma_v under the mass and what is stacked on it, where c / sigma_v is least or, at its top, greatest; the
-    narrower of both. Where friction varies, phi is the least of the mass. Other laws: the MPM warns where no stress
-    within yield has that ratio.
+    with sigma_v at the base and at the top of the mass, including the masses stacked on it; the smaller c / sigma_v
+    decides. If friction varies, phi is the smallest of the mass. For other laws, the MPM warns if no stress within
+    yield has that ratio.
     """
     from datasets.geometry.bodies import height
 
@@ -169,7 +169,7 @@ def check_k0(scene: SceneLayout) -> None:
 
 
 def check_water(scene: SceneLayout) -> None:
-    """Raise InputError for water that nothing in the scene holds, and for what its solver does not know."""
+    """Raise InputError for water without a saturated material, and for what the water solver does not support."""
     water = scene.water or Water()
     if saturated(scene) is None:
         require(scene.water is None, "water", "a saturated material beside it", "none")
@@ -203,7 +203,7 @@ def check_water(scene: SceneLayout) -> None:
 
 
 def resting_load(scene: SceneLayout, mass: Mass) -> float:
-    """Pressure [Pa] of the masses with a `k0` that are stacked on `mass`, at most, on its top."""
+    """Largest pressure [Pa] on the top of `mass` from the masses with a `k0` stacked on it."""
     load, top = 0.0, mass.lower[1] + mass.size[1]
     for above in sorted(scene.masses, key=lambda other: other.lower[1]):
         shared = all(
@@ -218,7 +218,7 @@ def resting_load(scene: SceneLayout, mass: Mass) -> float:
 
 
 def check_time(scene: SceneLayout, time: float | str, key: str) -> None:
-    """Raise InputError unless something can happen then: at the end of a frame before the last, or once settled."""
+    """Raise InputError unless an event can happen at `time`: the end of a frame before the last, or "settled"."""
     if isinstance(time, str):
         return
     frames = time / scene.frame_dt
@@ -227,7 +227,7 @@ def check_time(scene: SceneLayout, time: float | str, key: str) -> None:
 
 
 def check_stages(scene: SceneLayout) -> None:
-    """Raise InputError for stages that are out of order, are for no mass or place, or make no material."""
+    """Raise InputError for stages that are out of order, refer to no mass or place, or give an invalid material."""
     materials = {scene.material_of(mass) for mass in scene.masses}
     for index, (key, stage) in enumerate(keyed(scene, "stages").items()):
         dimension = scene.dimension
@@ -290,7 +290,7 @@ def check_fields(scene: SceneLayout) -> None:
 
 
 def check_thickness(scene: SceneLayout, field: Field, key: str) -> None:
-    """Raise InputError for a field of thickness that no layer of `scene` has, or whose layer leaves the box."""
+    """Raise InputError for a field of thickness without a layer in `scene`, or whose layer leaves the box."""
     from datasets.geometry.bodies import filling
 
     require(min(field.values) > 0.0, f"{key}.values", "thicknesses above 0 m", min(field.values))
@@ -304,7 +304,7 @@ def check_thickness(scene: SceneLayout, field: Field, key: str) -> None:
 
 
 def unlikely_water(scene: SceneLayout) -> list[str]:
-    """A line for each elevation of water that looks like one in cm, or that leaves all that is saturated dry."""
+    """A warning for each water elevation that lies above the box, or below all saturated masses."""
     water, top = scene.water or Water(), scene.domain.size[1]
     table = None if water.table is None else np.array(water.table, np.float64)
     if table is not None and scene.dimension == 2:
@@ -324,7 +324,7 @@ def unlikely_water(scene: SceneLayout) -> list[str]:
 
 
 def warn_if_unlikely(scene: SceneLayout) -> None:
-    """One UserWarning for each number that looks like another unit's (radians, MPa, mm) and what the box cuts off."""
+    """Warn (UserWarning) of numbers in a probably wrong unit (radians, MPa, mm), and of layers that the box cuts."""
     from datasets.geometry.bodies import Plan, height
     from datasets.geometry.ground import TOUCHING, lowest_ground
 
@@ -340,7 +340,7 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
     for line in unlikely_water(scene):
         warnings.warn(line, stacklevel=3)
     terrains = [(key, solid) for key, solid in keyed(scene, "solids").items() if solid.kind == "terrain"]
-    for key, solid in terrains if len(terrains) == 1 else ():  # of several the highest is the ground
+    for key, solid in terrains if len(terrains) == 1 else ():  # with several terrains the highest is the ground
         lowest = lowest_ground(scene.domain, solid, key)
         if lowest < -TOUCHING:
             said = f"falls {-lowest:.3g} m below the floor of the box, which is the ground there"
@@ -348,7 +348,7 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
     surfaces = {key: surface.friction for key, surface in keyed(scene, "baffles", "solids").items()}
     surfaces |= {name: getattr(scene, name) for name in ("floor_friction", "wall_friction", "baffle_friction")}
     for key, friction in surfaces.items():
-        # Of a raster its first row: there may be millions.
+        # Only the first row of a raster, which may have millions of values.
         first = friction[0] if isinstance(friction, tuple) else friction
         steep = 0.0 if first is None or isinstance(first, str) else float(np.max(first))
         if STEEPEST < steep < 90.0:
@@ -380,15 +380,15 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
             said = f"{name} = {rate:g} {unit} drains faster than any soil"
             lines.append(f"{said}; in {other} it would be {rate / times:.2g} {unit}")
         if (grain := material.grain_diameter or 0.0) > scene.domain.cell:
-            lines.append(f"grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m")
+            lines.append(f"grain_diameter = {grain:g} m is larger than a cell; in mm it would be {grain / 1e3:g} m")
         heights = [height(scene, mass) for mass in scene.masses if scene.material_of(mass) == material]
         weight = material.density * scene.gravity * max(heights, default=0.0)
         least = SOFTEST * weight
         if material.modulus < least:
             soft = f"young = {material.modulus:g} Pa is less than {SOFTEST:g} rho g h = {least:.3g} Pa"
-            lines.append(f"{soft}: the body sinks under its own weight by more than a twentieth of its height")
+            lines.append(f"{soft}: the body settles under its own weight by more than a twentieth of its height")
         if 0.0 < material.cohesion < WEAKEST * weight:
-            weak = f"cohesion = {material.cohesion:g} Pa is next to nothing beside rho g h = {weight:.3g} Pa"
+            weak = f"cohesion = {material.cohesion:g} Pa is negligible compared with rho g h = {weight:.3g} Pa"
             lines.append(f"{weak}; in kPa it would be {1e3 * material.cohesion:g} Pa")
         for line in lines:
             warnings.warn(f"{key}.{line}", stacklevel=3)

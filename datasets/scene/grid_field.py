@@ -1,8 +1,8 @@
-"""A number that varies over a body: given at the nodes of a regular grid, linear along each axis between them.
+"""A quantity that varies over a body: given at the nodes of a regular grid, linear along each axis between them.
 
     f(x) = sum_k w_k(x) f_k,    w_k(x) = prod_a max(0, 1 - |x_a - x_ka| / h_a)
 
-with h the spacing of the grid, and x outside of the grid moved to its edge.
+with h the spacing of the grid; a point x outside the grid is moved to its edge.
 """
 
 import math
@@ -19,9 +19,9 @@ Floats = NDArray[np.float64]
 
 VELOCITIES = ("velocity_x", "velocity_y", "velocity_z")
 FRICTION = "friction_deg"
-NEAR = 1.0e-4  # of the spacing: half of the step of a difference
+NEAR = 1.0e-4  # half of the step of a difference quotient, over the spacing
 THICKNESS = "thickness"
-"""Of a layer, vertically: its field lies in plan."""
+"""Vertical thickness of a layer; its field lies in plan."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Grid:
     spacing: Annotated[tuple[float, ...], Bounds("positive lengths in m", gt=0.0)]
     """Distance between neighbours along each axis [m]."""
     nodes: Annotated[tuple[int, ...], Bounds("at least one along each axis", gt=0)]
-    """How many along each axis."""
+    """Number of nodes along each axis."""
 
     @property
     def count(self) -> int:
@@ -48,19 +48,19 @@ class Grid:
 
     @cached_property
     def positions(self) -> Floats:
-        """Of the nodes [m], shape [K, D]."""
+        """Positions of the nodes [m], shape [K, D]."""
         return np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1).reshape(-1, len(self.nodes))
 
     def weights(self, positions: Floats) -> Any:
-        """Sparse matrix of w_k at `positions` [m], shape [N, D]; [N, K]. Its transpose takes derivatives to nodes."""
-        from scipy.sparse import csr_array  # scenes without fields have no use for it
+        """Sparse matrix [N, K] of w_k at `positions` [m], shape [N, D]. Its transpose maps derivatives to nodes."""
+        from scipy.sparse import csr_array  # scenes without fields do not need it
 
         count, node, weight = len(positions), np.zeros((len(positions), 1), np.int32), np.ones((len(positions), 1))
         for axis, (first, spacing, nodes) in enumerate(zip(self.origin, self.spacing, self.nodes, strict=True)):
             place = np.clip((positions[:, axis, None] - first) / spacing, 0.0, nodes - 1)
             low = np.minimum(place.astype(np.int32), max(nodes - 2, 0))
             part, shape = place - low, (count, node.shape[1] * min(nodes, 2))
-            # One node along an axis has no neighbour.
+            # A single node along an axis has no neighbour.
             ends, parts = ((low, low + 1), (1.0 - part, part)) if nodes > 1 else ((low,), (1.0 - part,))
             node = np.stack([node * nodes + end for end in ends], axis=2).reshape(shape)
             weight = np.stack([weight * share for share in parts], axis=2).reshape(shape)
@@ -76,25 +76,25 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Field(Grid, Record):
-    """What varies over the particles of a scene at the start, in place of what their mass or its material has."""
+    """An initial quantity that varies over particles, and replaces the value of their mass or its material."""
 
     quantity: str
     """`friction_deg`, `velocity_x`, `velocity_y`, `velocity_z`, or `thickness` of a layer, which lies in plan."""
     values: tuple[float, ...]
     """At the nodes, y (in 3D z) fastest: angles in degrees, velocities in m/s, thicknesses in m."""
     mass: int | None = None
-    """Index of the mass whose particles have it; all where absent."""
+    """Index of the mass whose particles it applies to; default: all masses."""
 
     @property
     def axis(self) -> int:
-        """Of a velocity."""
+        """Axis of a velocity."""
         return VELOCITIES.index(self.quantity)
 
     def at(self, positions: Floats) -> Floats:
-        """Its values at `positions` [m], shape [N, D]; shape [N]."""
+        """Values, shape [N], at `positions` [m], shape [N, D]."""
         places = positions[:, ::2] if self.quantity == THICKNESS else positions
         return np.asarray(self.weights(places) @ np.array(self.values))
 
     def slope(self, positions: Floats) -> Floats:
-        """Its derivatives at `positions` [m], shape [N, D]; shape [N, D]."""
+        """Derivatives, shape [N, D], at `positions` [m], shape [N, D]."""
         return np.stack([slopes @ np.array(self.values) for slopes in self.slopes(positions)], axis=1)

@@ -1,12 +1,12 @@
-"""Scene files: read from a path or, by name, from those that ship in `datasets/scenes`; written from Python.
+"""Scene files: read from a path or by the name of a shipped scene in `datasets/scenes`; written from Python.
 
-In a file lengths count from the map's origin where the box has one, in a `Scene` from the box's lower corner:
+If the box has an origin, lengths in a file are map coordinates; in a `Scene` they count from the box's lower corner:
 
     x_scene = x_file - origin        [domain] origin = [easting, elevation, northing], in 2D [x, elevation]
 
-x runs to the east, y up, z to the north. The difference is taken here alone, when a file is read, in double precision:
-single precision has steps of 0.25 m at 2,600,000 m, but of 0.25 mm at 4,096 m from the corner. It is rounded to
-`DIGITS`, so that 2600000.1 - 2600000 is 0.1: the scene is that of a file in coordinates of its own, to the bit.
+x runs to the east, y up, z to the north. Only this module takes the difference, when it reads a file, in double
+precision: single precision has steps of 0.25 m at 2,600,000 m, but of 0.25 mm at 4,096 m from the corner. It is rounded
+to `DIGITS`, so that 2600000.1 - 2600000 is 0.1: the scene equals that of a file in box coordinates to the bit.
 """
 
 from contextlib import suppress
@@ -25,7 +25,7 @@ from datasets.schema import changed, from_mapping
 
 SCENES = Path(__file__).parents[1] / "scenes"
 WHOLE, PLAN, UP = slice(None), slice(None, None, 2), slice(1, 2)
-"""Of the components of an origin: all; those in plan, x and z; y."""
+"""Components of an origin: all; x and z, in plan; y."""
 PLACES: dict[str, dict[str, slice]] = {
     "masses": {"lower": WHOLE, "vertices": WHOLE, "origin": PLAN, "outline": PLAN, "section": PLAN},
     "baffles": {"lower": WHOLE},
@@ -34,13 +34,13 @@ PLACES: dict[str, dict[str, slice]] = {
     "stages": {"lower": WHOLE, "outline": PLAN},
     "water": {"level": UP, "pool": UP, "table": WHOLE, "origin": PLAN},
 }
-"""The keys of a scene that say where something is, and which components of an origin they count from."""
+"""The keys of a scene that hold coordinates, and the components of the origin that they count from."""
 DIGITS = 7
 """Decimals of a metre: more than the rounding of map coordinates in double precision up to 100,000 km."""
 
 
 def find(name: str | Path, shelf: Path, what: str) -> Path:
-    """The TOML file meant by `name`: a path, or the name of one on `shelf`. Raises InputError."""
+    """The TOML file that `name` refers to: a path, or a name in the folder `shelf`. Raises InputError."""
     name = str(name)
     if name.endswith(".toml") or "/" in name:
         return Path(name)
@@ -51,8 +51,8 @@ def find(name: str | Path, shelf: Path, what: str) -> Path:
 
 
 def read_scene(name: str | Path) -> Scene:
-    """Read the scene at a path, or of a shipped name such as `column-short-21`, with the files that it names beside it.
-    Raises InputError, which names the file and the key."""
+    """Read a scene from a path or by a shipped name such as `column-short-21`, with the files that it refers to. Raises
+    InputError, which names the file and the key."""
     path = find(name, SCENES, "scene")
     with naming(path):
         data = read_toml(path)
@@ -62,7 +62,7 @@ def read_scene(name: str | Path) -> Scene:
 
 
 def scene_from(data: dict[str, Any], folder: Path) -> Scene:
-    """The scene of the tables of a TOML file in `folder`, to which the paths in it are relative. Raises InputError."""
+    """The scene of a TOML file's tables; paths in them are relative to `folder`. Raises InputError."""
     data = with_files(data, folder)
     if not isinstance(data.get("domain"), dict) or data["domain"].get("origin") is None:
         return from_mapping(Scene, data)
@@ -75,7 +75,7 @@ def scene_from(data: dict[str, Any], folder: Path) -> Scene:
 
 
 def moved(data: dict[str, Any], by: NDArray[np.float64]) -> dict[str, Any]:
-    """The tables of a scene with every place moved by so much [m], shape [D]; what is no place as it is."""
+    """The tables of a scene with all coordinates moved by `by` [m], shape [D]; other values are unchanged."""
     new = dict(data)
     for group, keys in PLACES.items():
         if isinstance(data.get(group), list | tuple):
@@ -86,12 +86,12 @@ def moved(data: dict[str, Any], by: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def moved_entry(entry: Any, keys: dict[str, slice], by: NDArray[np.float64]) -> Any:
-    """A mass, a solid or another table with the places under `keys` moved by `by` [D]; what is none as it is."""
+    """A mass, a solid or another table with the coordinates under `keys` moved by `by` [D]."""
     if not isinstance(entry, dict):
         return entry
     entry = dict(entry)
     for key, axes in keys.items():
-        with suppress(ValueError):  # of rows of different lengths
+        with suppress(ValueError):  # from rows of different lengths
             places = np.asarray(entry.get(key))
             # The foot of a section may have an elevation.
             step = by if axes == PLAN and places.shape[-1:] == by.shape else by[axes]
@@ -104,12 +104,12 @@ def moved_entry(entry: Any, keys: dict[str, slice], by: NDArray[np.float64]) -> 
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:
-    """Write `scene` as TOML, the keys that differ from their defaults; `read_scene` gives an equal one. In map
-    coordinates where its box has an origin; then places are equal to a tenth of a micrometre."""
+    """Write the keys of `scene` that differ from their defaults as TOML; `read_scene` gives an equal scene. If its box
+    has an origin, the file is in map coordinates, and coordinates are equal to a tenth of a micrometre."""
     table = changed(scene)
     for mass in table["masses"]:
         if mass.get("kind", "box") != "box":
-            del mass["lower"], mass["size"]  # a scene works out the box around it
+            del mass["lower"], mass["size"]  # a scene computes the box around it
     if scene.domain.origin is not None:
         table = moved(table, scene.domain.corner)
     write_text(Path(path), tomli_w.dumps(table))

@@ -1,17 +1,17 @@
-"""Material: elastic constants and those of its law of strength; all stresses are in Pa, tension positive.
+"""Material: elastic constants and constants of the strength law; all stresses are in Pa, tension positive.
 
-The law is Mohr's and Coulomb's, with the constants below, unless `law` names another one of `mpm.laws`. Its own keys
-are then `constants`, which that law checks when the MPM takes the scene.
+The law is Mohr-Coulomb, with the constants below, unless `law` names another one of `mpm.laws`. The keys of that law
+are then `constants`, which it checks when the MPM takes the scene.
 
-docs/theory/return-map.md has the equations of what follows and their sources:
+docs/theory/return-map.md gives the following equations and their sources:
 
 - **Tension**: a crack opens where a principal stress reaches T = `tension_cutoff`, at most the apex c cot(phi) of the
   cone, by default `TENSION_SHARE` c at every depth.
-- **Depth**: c(z) = cohesion + strength_gradient z; every particle keeps the cohesion of its depth z at the start.
+- **Depth**: c(z) = cohesion + strength_gradient z; every particle keeps the cohesion of its initial depth z.
 - **Softening**: sin phi, c cos phi and T are linear in the slip of a band one cell thick, from peak to residual values
-  over `softening_length`; sin psi falls to 0. Without that length it dilates **for ever**: wrong for flows.
-- **Which angle**: "triaxial" is phi itself, "slope" that on the plane that shears (`sine_of_slope`).
-- **Rate of shear**: with a `friction_limit_deg` friction grows with the inertial number (`mpm.physics.inertial`).
+  over `softening_length`; sin psi falls to 0. Without that length dilation **never ends**: wrong for flows.
+- **Which angle**: "triaxial" is phi itself, "slope" is the angle on the plane that shears (`sine_of_slope`).
+- **Rate of shear**: with a `friction_limit_deg`, friction grows with the inertial number (`mpm.physics.inertial`).
 """
 
 import dataclasses
@@ -29,18 +29,18 @@ from datasets.schema import Bounds, Record
 Depth = TypeVar("Depth", float, NDArray[np.float64])
 
 MOHR_COULOMB = "mohr-coulomb"
-"""The law of a material that names none."""
+"""The default law of a material."""
 USUAL_YOUNG = 2.0e6
-"""Young's modulus [Pa] of a material that gives none, at least."""
+"""Smallest default Young's modulus [Pa], for a material that gives none."""
 STIFFEST = 1.0e15
-"""Moduli and strengths [Pa] beyond this, a thousand times those of diamond, are none."""
+"""Largest modulus and strength [Pa]: a thousand times those of diamond."""
 LEAST_VOLUME_CHANGE = 0.4999
 """Largest Poisson's ratio: the bulk modulus is then 5,000 times the shear modulus, and beyond
 that single precision loses the shear stress beside the pressure."""
 ANGLES = {"triaxial": 90.0, "slope": 45.0}
-"""How angles of friction may have been measured, and below which value [deg] each stays."""
+"""How friction angles may have been measured -> upper bound of the angle [deg]."""
 TENSION_SHARE = 0.003
-"""Tension cutoff over cohesion [-] where a material names none."""
+"""Default tension cutoff over cohesion [-]."""
 Density = Annotated[float, Bounds("a positive density in kg/m^3, 0.001 to 1e6", ge=1.0e-3, le=1.0e6)]
 Modulus = Annotated[float, Bounds(f"a positive modulus in Pa, 0.001 to {STIFFEST:g}", ge=1.0e-3, le=STIFFEST)]
 Strength = Annotated[float, Bounds(f"a strength of at least 0 Pa, up to {STIFFEST:g}", ge=0.0, le=STIFFEST)]
@@ -52,13 +52,13 @@ Inertial = Annotated[float, Bounds("a positive number, 1e-6 to 1e6", ge=1.0e-6, 
 Permeability = Annotated[float | None, Bounds("a permeability of at least 0 m/s, up to 100", ge=0.0, le=100.0)]
 Diffusivity = Annotated[float | None, Bounds("a coefficient of at least 0 m^2/s, up to 1e6", ge=0.0, le=1.0e6)]
 
-SHARED = ("law", "constants", "density", "young", "poisson")  # keys that a material of any law has
+SHARED = ("law", "constants", "density", "young", "poisson")  # keys of a material with any law
 SOFTENING = ("friction_deg", "cohesion", "tension_cutoff")  # keys that have a residual value
 
 
 def sine_of_slope(tangent: Any, psi: float) -> Any:
-    """sin(phi) [-] of a slope's tan(angle) = sin phi cos psi / (1 - sin phi sin psi), psi in radians (Davis 1968). A
-    number, an array or a tensor."""
+    """sin(phi) [-] from a slope's tan(angle) = sin phi cos psi / (1 - sin phi sin psi), psi in radians (Davis 1968).
+    The tangent is a number, an array or a tensor."""
     return tangent / (math.cos(psi) + tangent * math.sin(psi))
 
 
@@ -74,60 +74,60 @@ class Material(Record):
     """
 
     law: str = MOHR_COULOMB
-    """Law of strength: this one, or the name of another of `mpm.laws`, whose keys then stand beside density and
-    elasticity in place of those of Mohr and Coulomb."""
+    """Strength law: Mohr-Coulomb, or the name of another law of `mpm.laws`, whose keys then replace those of
+    Mohr-Coulomb beside density and elasticity."""
     constants: dict[str, float] = field(default_factory=dict, hash=False)
-    """The keys of another law; from Python together, with `friction_deg` = 0."""
+    """The keys of another law, given together in Python, with `friction_deg` = 0."""
     friction_deg: float
-    """Angle of friction [deg], in [0, 90), of a slope in [0, 45); 0, Tresca's law, needs a cohesion."""
+    """Friction angle [deg], in [0, 90), of a slope in [0, 45); 0 (Tresca) needs a cohesion."""
     angle: Annotated[str, Bounds(f"one of {', '.join(ANGLES)}", words=tuple(ANGLES))] = "triaxial"
-    """How angles of friction were measured: "triaxial" (phi itself) or "slope" (on the plane that shears)."""
+    """How friction angles were measured: "triaxial" (phi itself) or "slope" (on the plane that shears)."""
     friction_limit_deg: float | None = None
-    """Angle of friction at very high rates of shear [deg], of the same `angle`; no dependence on them where absent."""
+    """Friction angle at very high shear rates [deg], of the same `angle`; without it, friction is rate-independent."""
     inertial_number: Inertial = 0.279
-    """I_0 [-], at which half of that growth is reached; that of glass beads where absent."""
+    """I_0 [-], at which half of that growth is reached; default: glass beads."""
     grain_diameter: Diameter | None = None
     """Diameter of a grain [m], needed with a `friction_limit_deg`."""
     grain_density: Density = 2500.0
-    """Density of the grains [kg/m^3], not of the bulk; that of glass and quartz, about, where absent."""
+    """Density of the grains [kg/m^3], not of the bulk; default: about that of glass and quartz."""
     density: Density = 1800.0
     """Initial bulk density [kg/m^3]."""
     young: Modulus | None = None
-    """Young's modulus [Pa]; where absent 2 MPa, in a scene as much as its thickness and speed need
-    (`datasets.scene.stiffness`), which the scene's material then has."""
+    """Young's modulus [Pa]; default: 2 MPa, or more if the thickness and speed of the scene require it
+    (`datasets.scene.stiffness`); the scene's material then holds that value."""
     poisson: Ratio = 0.3
     """Poisson's ratio [-], in [0, 0.4999]."""
     dilation_deg: float = 0.0
-    """Angle of dilation [deg], in [0, friction_deg]; for ever where there is no `softening_length`. Saturated material
-    needs one, and contracts where the angle is negative, down to -friction_deg."""
+    """Dilation angle [deg], in [0, friction_deg]; without a `softening_length`, dilation never ends. Saturated material
+    needs that length; it contracts if the angle is negative, down to -friction_deg."""
     cohesion: Strength = 0.0
-    """Cohesion [Pa], where `strength_gradient` at the top of the body."""
+    """Cohesion [Pa]; with a `strength_gradient`, the value at the top of the body."""
     strength_gradient: Growth = 0.0
-    """Growth of the cohesion with the depth below the top of the body at the start [Pa/m]."""
+    """Increase of the cohesion with initial depth below the top of the body [Pa/m]."""
     tension_cutoff: Strength | None = None
-    """Largest tensile principal stress [Pa], where cracks open; `TENSION_SHARE` of the cohesion where absent.
+    """Largest tensile principal stress [Pa], at which cracks open; default: `TENSION_SHARE` times the cohesion.
 
     The apex c cot(phi) limits it from above."""
     softening_length: Slip | None = None
-    """Slip of a shear band at which the residual values are reached [m]; no softening where absent."""
+    """Slip of a shear band at which the residual values are reached [m]; default: no softening."""
     residual_friction_deg: float | None = None
-    """Angle of friction after softening [deg], in [0, friction_deg]; that of the peak where absent."""
+    """Friction angle after softening [deg], in [0, friction_deg]; default: the peak value."""
     residual_cohesion: float | None = None
-    """Cohesion after softening [Pa], at most `cohesion`, at depth the same share of it; the peak's where absent."""
+    """Cohesion after softening [Pa], at most `cohesion`, and at depth the same share of it; default: the peak value."""
     residual_tension_cutoff: float | None = None
-    """Tension cutoff after softening [Pa], at most that of the peak at the top; that of the peak where absent."""
+    """Tension cutoff after softening [Pa], at most the peak value at the top; default: the peak value."""
     saturated: bool = False
-    """Whether water fills its pores (`mpm.physics.water`): strength is then that of the effective stress, `density`
-    that of grains and water together."""
+    """Whether water fills the pores (`mpm.physics.water`): the effective stress then governs strength, and `density`
+    includes grains and water."""
     permeability: Permeability = None
-    """Of saturated material k [m/s], with a `young`; undrained where neither this nor `consolidation` is given."""
+    """Permeability k of saturated material [m/s], with a `young`; without it and `consolidation`: undrained."""
     consolidation: Diffusivity = None
-    """Its coefficient of consolidation c_v [m^2/s], in place of the permeability."""
+    """Coefficient of consolidation c_v of saturated material [m^2/s], instead of the permeability."""
 
     @model_validator(mode="before")
     @classmethod
     def gathered(cls, data: Any) -> Any:
-        """The keys of a file, those of another law among its `constants`."""
+        """The keys of a file, with the keys of another law moved into `constants`."""
         if not isinstance(data, dict) or data.get("law", MOHR_COULOMB) == MOHR_COULOMB:
             return data
         field_names = {member.name for member in dataclasses.fields(cls)}
@@ -181,11 +181,11 @@ class Material(Record):
             require(strong, "residual_friction_deg", "an angle above 0 degrees where no cohesion remains")
 
     def constant(self, name: str) -> float:
-        """A number by its key, of any law."""
+        """A constant of any law, by its key."""
         return float(self.constants[name] if name in self.constants else getattr(self, name))
 
     def with_constant(self, name: str, value: float) -> "Material":
-        """The same material with another number for a key, of any law."""
+        """The same material with another value of a constant, of any law."""
         changes: dict[str, Any] = {name: value}
         if name in self.constants:
             changes = {"constants": {**self.constants, name: value}}
@@ -193,11 +193,11 @@ class Material(Record):
 
     @property
     def phi_deg(self) -> float:
-        """Mohr's and Coulomb's angle of internal friction phi [deg]: `friction_deg` where that is "triaxial"."""
+        """Mohr-Coulomb angle of internal friction phi [deg]: `friction_deg` if `angle` is "triaxial"."""
         return self.phi_deg_of(self.friction_deg, self.dilation_deg)
 
     def phi_deg_of(self, friction_deg: Depth, dilation_deg: float = 0.0) -> Depth:
-        """phi [deg] of an angle of friction [deg] that was measured as `angle` says; a number or an array."""
+        """phi [deg] of a friction angle [deg] that was measured as `angle` says; a number or an array."""
         if self.angle == "triaxial":
             return friction_deg
         tangent = np.tan(np.radians(friction_deg))
@@ -206,7 +206,7 @@ class Material(Record):
 
     @property
     def slope_deg(self) -> float:
-        """The angle on the plane that shears [deg]: `friction_deg` where that is of a "slope"."""
+        """The friction angle on the plane that shears [deg]: `friction_deg` if `angle` is "slope"."""
         sine, psi = math.sin(math.radians(self.phi_deg)), math.radians(self.dilation_deg)
         return math.degrees(math.atan2(sine * math.cos(psi), 1.0 - sine * math.sin(psi)))
 
@@ -217,21 +217,21 @@ class Material(Record):
 
     @property
     def sin_phi_limit(self) -> float:
-        """sin(phi) [-] at very high rates of shear; 0 where friction does not depend on them."""
+        """sin(phi) [-] at very high shear rates; 0 if friction does not depend on the rate."""
         if self.friction_limit_deg is None:
             return 0.0
         return math.sin(math.radians(self.phi_deg_of(self.friction_limit_deg)))
 
     @property
     def inertial_rate(self) -> float:
-        """Shear rate over the root of the pressure at I = I_0 [1/(s sqrt(Pa))]: I_0 / (d sqrt(rho_s)); 0 if none is."""
+        """Shear rate over the root of the pressure at I = I_0 [1/(s sqrt(Pa))]: I_0 / (d sqrt(rho_s)); else 0."""
         if self.friction_limit_deg is None or self.grain_diameter is None:
             return 0.0
         return self.inertial_number / (self.grain_diameter * math.sqrt(self.grain_density))
 
     @property
     def modulus(self) -> float:
-        """Young's modulus E [Pa], the usual one where neither the material nor a scene says."""
+        """Young's modulus E [Pa]; the usual one if neither the material nor a scene sets it."""
         return USUAL_YOUNG if self.young is None else self.young
 
     @property
@@ -251,22 +251,22 @@ class Material(Record):
 
     @property
     def cohesive(self) -> bool:
-        """Whether there is cohesion anywhere."""
+        """Whether the material has cohesion at any depth."""
         return self.cohesion > 0.0 or self.strength_gradient > 0.0
 
     @property
     def tension_limit(self) -> float:
-        """Largest tension that it carries at the top [Pa], `tension_limit_at` depth 0."""
+        """Largest tension that the material carries at the top [Pa]: `tension_limit_at` depth 0."""
         return self.tension_limit_at(0.0)
 
     @property
     def residual(self) -> "Material":
-        """The material after softening; itself where it does not soften."""
+        """The material after softening; the same material if it does not soften."""
         if self.softening_length is None:
             return self
         share = 1.0
         if self.residual_cohesion is not None:
-            # The sensitivity, peak over residual, is that of the top.
+            # The sensitivity, peak over residual, is the same as at the top.
             share = self.residual_cohesion / self.cohesion if self.cohesion > 0.0 else 0.0
         given, cohesion, cutoff = self.residual_friction_deg, self.residual_cohesion, self.residual_tension_cutoff
         names = ("friction_limit_deg", "softening_length", *(f"residual_{key}" for key in SOFTENING))
@@ -293,16 +293,16 @@ class Material(Record):
         return self.tension_cutoff + 0.0 * depth
 
     def tension_limit_at(self, depth: Depth, tangent: Depth | None = None) -> Depth:
-        """Largest tension that it carries at `depth` [m] before it softens [Pa]; `tangent`: another tan(phi)."""
+        """Largest tension [Pa] carried at `depth` [m] before softening; `tangent`: another tan(phi)."""
         return self.up_to_apex(self.cutoff_at(depth), depth, tangent)
 
     def residual_tension_limit_at(self, depth: Depth, tangent: Depth | None = None) -> Depth:
-        """Largest tension that it carries at `depth` [m] after softening [Pa]; `tangent`: another residual tan(phi)."""
+        """Largest tension [Pa] carried at `depth` [m] after softening; `tangent`: another residual tan(phi)."""
         given = self.residual_tension_cutoff
         return self.residual.up_to_apex(self.cutoff_at(depth) if given is None else given + 0.0 * depth, depth, tangent)
 
     def up_to_apex(self, tension: Depth, depth: Depth, tangent: Depth | None = None) -> Depth:
-        """`tension` [Pa], or the apex of the cone c cot(phi) at `depth` [m] where that is lower; Tresca's has none."""
+        """`tension` [Pa], or the apex of the cone c cot(phi) at `depth` [m] if that is lower; Tresca has no apex."""
         if tangent is None and self.friction_deg == 0.0:
             return tension
         apex = self.cohesion_at(depth) / (self.friction if tangent is None else tangent)

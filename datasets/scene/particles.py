@@ -1,4 +1,4 @@
-"""Scene -> particles: a jittered lattice in each mass, whose particles have exactly its volume."""
+"""Scene -> particles: a jittered lattice in each mass, whose particles have exactly the volume of the mass."""
 
 import math
 import warnings
@@ -15,10 +15,10 @@ from datasets.scene import INFLOW, TOLERANCE, Mass, Scene, keyed
 from datasets.scene.grid_field import FRICTION, THICKNESS, Floats
 from datasets.scene.material import Material
 
-PARTICLE = 60  # bytes that a particle takes while it is made, over the square of the dimensions
+PARTICLE = 60  # bytes per particle while the particles are made, over the square of the dimension
 ROUNDING = 1.0e-13  # relative difference up to which two volumes are the same number
-RESOLVED = (3.0, 4.0)  # cells across a body that a warning recommends
-MISSED = 0.01  # share of a body, too thin for any particle, from which on a warning says so
+RESOLVED = (3.0, 4.0)  # number of cells across a body that a warning recommends
+MISSED = 0.01  # smallest share of a body, too thin for any particle, that a warning reports
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class Particles:
     mass: NDArray[np.int32]
     """Index of the scene's mass that each particle belongs to, shape [N]."""
     velocity_gradients: Floats
-    """Velocity gradients dv_i / dx_j [1/s], shape [N, D, D]; 0 but in a mass that turns."""
+    """Velocity gradients dv_i / dx_j [1/s], shape [N, D, D]; 0 except in a rotating mass or a field of velocity."""
     material: NDArray[np.int32]
     """Index into `materials` of each particle, shape [N]."""
     materials: tuple[Material, ...]
@@ -40,17 +40,17 @@ class Particles:
     volume: Floats
     """Initial volume of each particle [m^D], shape [N]."""
     depth: Floats
-    """Of each particle below the top of its mass [m], shape [N]."""
+    """Depth of each particle below the top of its mass [m], shape [N]."""
     entry_time: Floats | None = None
-    """When each particle enters [s], shape [N]: at its position, with its velocity; 0 of those that are there from the
-    start. None where all are."""
+    """Time at which each particle enters [s], shape [N], at its position and with its velocity; 0 for particles that
+    are present from the start. None if all are."""
     friction_deg: Floats | None = None
-    """Angle of friction of each particle [deg], shape [N], in place of its material's and measured as that; None where
-    all have that."""
+    """Friction angle of each particle [deg], shape [N], which replaces its material's and is measured in the same way;
+    None if all particles have the material's."""
 
     @property
     def present(self) -> NDArray[np.bool_]:
-        """Which particles are there from the start, shape [N]."""
+        """Which particles are present from the start, shape [N]."""
         return np.full(len(self.volume), True) if self.entry_time is None else self.entry_time == 0.0
 
     @property
@@ -76,10 +76,10 @@ class Particles:
 
 
 def initial_particles(scene: Scene) -> Particles:
-    """Fill every mass of `scene` with particles: a lattice of about `cell / particles_per_axis`, fitted to its size
-    along every axis (`lattice_counts`), each of N particles with the volume prod(size) / N and moved at random inside
-    the share `jitter` of its lattice cell. A mass draws from its own stream, so that adding one leaves the others.
-    Bodies that are no boxes: `datasets.geometry.bodies`."""
+    """Fill every mass of `scene` with particles: a lattice of spacing about `cell / particles_per_axis`, fitted to the
+    mass along every axis (`lattice_counts`). Each of N particles has the volume prod(size) / N, and moves at random
+    within the share `jitter` of its lattice cell. Each mass draws from its own random stream, so that adding a mass
+    does not change the others. For bodies that are no boxes, see `datasets.geometry.bodies`."""
     count = particle_count(scene)
     instead = f"there are {count}; larger cells or fewer particles_per_axis"
     require_memory(PARTICLE * scene.dimension**2 * count, "particles", instead, key="masses")
@@ -147,7 +147,7 @@ def depth(scene: Scene, mass: Mass, positions: Floats) -> Floats:
 
 
 def cohesions(materials: Sequence[Material], material: NDArray[np.integer], depths: Floats) -> NDArray[np.float32]:
-    """Cohesion [Pa] of particles of `materials` by number, shape [N], at `depths` [m], shape [N]."""
+    """Cohesion [Pa] of particles, shape [N]. material: index into `materials`, [N]; depths: [m], [N]."""
     values = np.zeros(len(depths), np.float32)
     for index, sand in enumerate(materials):
         values[material == index] = sand.cohesion_at(depths[material == index])
@@ -157,9 +157,9 @@ def cohesions(materials: Sequence[Material], material: NDArray[np.integer], dept
 def observed_cohesion(
     scene: Scene, positions: NDArray[np.floating], mass: NDArray[np.int32] | None
 ) -> NDArray[np.float32]:
-    """Cohesion [Pa], shape [N], of the particles of a trajectory that begin at `positions` [m], shape [N, D]. mass: of
-    each, where they are not those of `initial_particles`. Raises InputError where masses differ and nothing says whose
-    each is."""
+    """Cohesion [Pa], shape [N], of the particles of a trajectory that starts at `positions` [m], shape [N, D]. mass:
+    index of each particle's mass, if they are not those of `initial_particles`. Raises InputError if the masses differ
+    and the particles cannot be assigned to them."""
     materials = [scene.material_of(body) for body in scene.masses]
     grows = [material.strength_gradient > 0.0 for material in materials]
     alike = len(materials) == 1 or (len({material.cohesion for material in materials}) == 1 and not any(grows))
@@ -179,12 +179,12 @@ def observed_cohesion(
 
 def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
     """Particles along each axis of `mass`: the spacing nearest to `cell / particles_per_axis` that fits its size.
-    Spacings of a mass differ by a factor of two at most where every side is at least a cell."""
+    If every side is at least a cell, the spacings along different axes differ by at most a factor of two."""
     return [max(1, round(length / scene.particle_spacing)) for length in mass.size]
 
 
 def mass_counts(scene: Scene) -> list[int]:
-    """Particles of each mass, shape [masses]."""
+    """Number of particles of each mass, shape [masses]."""
     return [
         math.prod(lattice_counts(scene, mass)) if mass.kind == "box" else len(filling(scene, mass).lattice)
         for mass in scene.masses
@@ -192,8 +192,8 @@ def mass_counts(scene: Scene) -> list[int]:
 
 
 def stretches(scene: Scene) -> list[Floats]:
-    """Of the particles of each mass their thickness by a field over that of their layer [-], shape [1] where it is 1.
-    The field moves the particles of a layer up or down in proportion and changes their volumes: a flow depends on it
+    """Thickness by a field over the layer's own, for the particles of each mass [-]; shape [1] where it is 1. The field
+    moves the particles of a layer up or down in proportion and scales their volumes, so that a flow depends on it
     smoothly."""
     factors = [np.ones(1) for _ in scene.masses]
     for field in scene.fields:
@@ -206,13 +206,13 @@ def stretches(scene: Scene) -> list[Floats]:
 
 
 def mass_volumes(scene: Scene) -> Floats:
-    """Volume of each mass [m^D], that of its shape, of a layer with a field of thickness of its particles; [masses]."""
+    """Volume of each mass [m^D], shape [masses]: of its shape or, with a field of thickness, of its particles."""
     volumes = (math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses)
     return np.asarray(np.fromiter(volumes, np.float64) * [float(shares.mean()) for shares in volume_shares(scene)])
 
 
 def volume_shares(scene: Scene) -> list[Floats]:
-    """Of the particles of each mass their volume over the mean before any field of thickness [-], [1] where alike."""
+    """For each mass, the volume of its particles over their mean without a field of thickness [-]; [1] if all are alike."""
     shares = stretches(scene)
     for index, mass in enumerate(scene.masses):
         if mass.kind == "layer" and (uneven := filling(scene, mass).shares) is not None:
@@ -221,7 +221,7 @@ def volume_shares(scene: Scene) -> list[Floats]:
 
 
 def particle_count(scene: Scene) -> int:
-    """How many particles `initial_particles` makes."""
+    """Number of particles that `initial_particles` makes."""
     return sum(mass_counts(scene))
 
 
@@ -231,7 +231,7 @@ def released_volume(scene: Scene) -> float:
 
 
 def mass_centroids(scene: Scene) -> Floats:
-    """Centroid of each mass [m], that of its particles before their jitter, shape [masses, D]."""
+    """Centroid of each mass's particles before their jitter [m], shape [masses, D]."""
     centroids = []
     for mass, shares in zip(scene.masses, volume_shares(scene), strict=True):
         places = lattice_of(scene, mass)
@@ -240,8 +240,8 @@ def mass_centroids(scene: Scene) -> Floats:
 
 
 def mass_particle_volumes(scene: Scene) -> Floats:
-    """Volume of a particle of each mass [m^D], shape [masses]: the mass's own over the number of its particles. Those
-    that differ by rounding are one number, `scene.particle_volume` where the masses fit the lattice."""
+    """Volume of a particle of each mass [m^D], shape [masses]: the volume of the mass over its number of particles.
+    Volumes that differ by rounding become one number, `scene.particle_volume` if the masses fit the lattice."""
     volumes = [scene.particle_volume]
     for volume in (mass_volumes(scene) / mass_counts(scene)).tolist():
         volumes.append(next((earlier for earlier in volumes if abs(volume - earlier) <= ROUNDING * earlier), volume))
@@ -260,14 +260,14 @@ def initial_volumes(scene: Scene) -> Floats:
 
 
 def particle_volumes(scene: Scene, count: int) -> Floats:
-    """Initial volume [m^D] of each of the `count` particles of a trajectory of `scene`, shape [count]. Of other
-    particles than those of `initial_particles` (another code's) only the mean is known."""
+    """Initial volume [m^D] of each of the `count` particles of a trajectory of `scene`, shape [count]. For particles of
+    another code than `initial_particles`, only the mean is known."""
     volumes = initial_volumes(scene)
     return volumes if len(volumes) == count else np.full(count, volumes.sum() / count)
 
 
 def warn_if_unresolved(scene: Scene) -> None:
-    """A UserWarning where a mass is thinner than a cell, and where parts of one are too thin for any particle."""
+    """Give a UserWarning if a mass is thinner than a cell, and if parts of a mass are too thin for any particle."""
     if line := unresolved(scene, 1.0):
         warnings.warn(line, stacklevel=3)
     for key, mass in keyed(scene, "masses").items():
@@ -278,8 +278,8 @@ def warn_if_unresolved(scene: Scene) -> None:
 
 
 def unresolved(scene: Scene, cells: float) -> str:
-    """Which masses are thinner than so many cells, and the cell that would resolve them; empty where none is. Does not
-    count: a mass that goes on in another of its material across its thin side, and one of a single particle."""
+    """Which masses are thinner than `cells` cells, and the cell that would resolve them; empty if none is. A mass that
+    continues across its thin side in another mass of its material, or has a single particle, does not count."""
     cell, thin = scene.domain.cell, dict[str, float]()
     for (key, mass), count in zip(keyed(scene, "masses").items(), mass_counts(scene), strict=True):
         across = thinnest(scene, mass) if count > 1 else math.inf
@@ -295,7 +295,7 @@ def unresolved(scene: Scene, cells: float) -> str:
 
 
 def thinnest(scene: Scene, mass: Mass) -> float:
-    """The least extent of a mass [m]; of a layer its largest thickness, where that is less."""
+    """The smallest extent of a mass [m]; for a layer, its largest thickness if that is less."""
     if mass.kind != "layer":
         return min(mass.size)
     return min(height(scene, mass), *(length for axis, length in enumerate(mass.size) if axis != 1))

@@ -1,4 +1,4 @@
-"""The parts of a scene, and how they lie together; bounds of numbers stand in their types."""
+"""The parts of a scene, and the scene that they form; the types hold the bounds of numbers."""
 
 import math
 from dataclasses import dataclass
@@ -21,13 +21,13 @@ TOLERANCE = 1.0e-9
 DOMAIN_SIDES = ("x-", "x+", "y-", "y+", "z-", "z+")
 """The sides of the box; y- is the floor."""
 RELAXATION = 0.5
-"""Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness, step (docs/stability.md)."""
+"""Default relaxation time over sqrt(cell / gravity): fronts depend least on stiffness and step (docs/stability.md)."""
 ROUGH = "rough"
 """Friction of a surface as rough as the grains: nothing slides on it, the material shears above it."""
 INFLOW = "inflow"
 """Kind of a mass that enters over time."""
 NO_SLIP = 1.0e9
-"""Coulomb coefficient that stands for it: times no pressure it is none."""
+"""Coulomb coefficient that represents no slip; without pressure it gives no friction."""
 Time = Annotated[float, Bounds(f"a positive time in s, up to {FARTHEST:g}", gt=0.0)]
 Length = Annotated[float, Bounds(f"a positive length in m, up to {FARTHEST:g}", gt=0.0)]
 Coefficient = Annotated[float | str, Bounds(f"a coefficient of at least 0 or '{ROUGH}'", ge=0.0, words=(ROUGH,))]
@@ -39,7 +39,7 @@ Moment = Annotated[float | str, Bounds("a time in s or 'settled'", words=("settl
 
 
 def coefficient(friction: float | str, rough: float = NO_SLIP) -> float:
-    """Coulomb coefficient [-] of a surface: a number as it is, `rough` where it is as rough as the grains."""
+    """Coulomb coefficient [-] of a surface: the given number, or `rough` if it is as rough as the grains."""
     return rough if isinstance(friction, str) else friction
 
 
@@ -47,8 +47,8 @@ def coefficient(friction: float | str, rough: float = NO_SLIP) -> float:
 class Domain(Record):
     """The rigid box [0, size] and the background grid in it; y, the second axis, points up.
 
-    All lengths of a `Scene` count from the box's lower corner. A file whose box has an `origin` gives them, and what is
-    written of its flow is, in the coordinates of a map (`datasets.scene.library`).
+    All lengths of a `Scene` count from the box's lower corner. If the box has an `origin`, the scene's file and the
+    results of its flow are in map coordinates (`datasets.scene.library`).
     """
 
     size: Vector
@@ -56,7 +56,7 @@ class Domain(Record):
     cell: Length
     """Edge of a grid cell [m]."""
     origin: Vector | None = None
-    """Where its lower corner lies on a map [m]: easting, elevation, northing, in 2D x and elevation; nowhere if absent.
+    """Map coordinates of the lower corner [m]: easting, elevation, northing, in 2D x and elevation; default: none.
     """
     crs: str | None = None
     """Reference system of these, as an authority's code or in WKT."""
@@ -76,23 +76,23 @@ class Domain(Record):
 
     @property
     def corner(self) -> NDArray[np.float64]:
-        """The origin [m], 0 where there is none, shape [D]: a place in the box and this are one on the map."""
+        """The origin [m], 0 without one, shape [D]: adding it to box coordinates gives map coordinates."""
         return np.zeros(len(self.size)) if self.origin is None else np.array(self.origin)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gate(Record):
-    """How the barriers of a mass rise from its release on, with the speed v (1 - exp(-t / tau)) after the time t."""
+    """A gate: the barriers of a mass rise from its release on, with the speed v (1 - exp(-t / tau)) after time t."""
 
     speed: Annotated[float, Bounds("a positive speed in m/s", gt=0.0)]
-    """v [m/s], in the end."""
+    """Final speed v [m/s]."""
     time_constant: Annotated[float, Bounds("a time of at least 0 s", ge=0.0)] = 0.0
-    """tau [s]; 0: v from the start."""
+    """Time constant tau [s]; 0: v from the start."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mass(Record):
-    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.shapes`).
+    """A body of material at the start; its kind determines the keys of its shape (`datasets.geometry.shapes`).
 
     For example:
 
@@ -104,7 +104,7 @@ class Mass(Record):
     """`box`, `polygon` (2D), `mesh` (3D), `layer` (on the ground: terrain, else the floor) or `inflow`, which enters
     over time (`datasets.geometry.inflow`)."""
     lower: Vector = ()
-    """Lower corner of the box [m]; of other kinds that of the box around them, which a scene works out."""
+    """Lower corner of the box [m]; for other kinds, of the box around the body, which a scene computes."""
     size: Size = ()
     """Extent of that box [m]."""
     vertices: Rows | None = None
@@ -112,39 +112,39 @@ class Mass(Record):
     triangles: Triangles | None = None
     """The three vertices of each triangle of a mesh, counted from 0; closed, in either orientation."""
     thickness: float | Rows | None = None
-    """Of a layer, vertically [m]: a number; in 3D that or rows along x of columns along z."""
+    """Vertical thickness of a layer [m]: a number, or in 3D rows along x of columns along z."""
     origin: Vector | None = None
     """x and z of the first thickness in 3D [m]."""
     spacing: Size | None = None
     """Distance between thicknesses along x and z [m]."""
     outline: Rows | None = None
-    """Where a layer lies in plan: corners x, z of a polygon, in 2D two x [m]; everywhere where absent."""
+    """Outline of a layer in plan: corners x, z of a polygon, in 2D two x [m]; default: everywhere."""
     section: Rows | None = None
-    """Through which an inflow enters [m]: in 2D its foot, x, in 3D both ends of its foot, x and z, on the ground; or
-    with the elevation y of the foot."""
+    """Section through which an inflow enters [m]: in 2D its foot, x; in 3D both ends of its foot, x and z, on the
+    ground; or with the elevation y of the foot."""
     direction: Vector | None = None
-    """Of its velocity, at right angles to the section; where absent down along the ground."""
+    """Direction of the inflow's velocity, at right angles to the section; default: downslope along the ground."""
     hydrograph: Rows | None = None
-    """Its times [s], discharges [m^3/s, in 2D m^2/s] and speeds [m/s], linear in between, shape [R, 3]."""
+    """Times [s], discharges [m^3/s, in 2D m^2/s] and speeds [m/s] of an inflow, linear in between, shape [R, 3]."""
     discharge_factor: Annotated[float | None, Bounds("a positive factor", gt=0.0)] = None
-    """Of all discharges [-]; 1 where absent."""
+    """Factor of all discharges [-]; default: 1."""
     velocity: Vector | None = None
-    """Initial velocity [m/s]; at rest where absent."""
+    """Initial velocity [m/s]; default: at rest."""
     angular_velocity: float | Vector | None = None
     """Initial angular velocity about the centre of the box [rad/s]: a number about z, positive from x to y, or in 3D a
     vector; the velocity at x is then velocity + angular_velocity x (x - centre)."""
     material: Material | None = None
-    """Its own material; the scene's where absent."""
+    """Material of this mass; default: the scene's."""
     k0: K0 | None = None
-    """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic". Where absent none, of a
-    flat mass on inclined ground that of an infinite slope (`mpm.initial.slope`)."""
+    """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic". Default: no stress, or
+    for a flat mass on inclined ground the stress of an infinite slope (`mpm.initial.slope`)."""
     release: Moment | None = None
-    """Time [s] until which smooth vertical barriers hold its sides, or "settled"; free from the start where absent."""
+    """Time [s] until which smooth vertical barriers hold its sides, or "settled"; default: free from the start."""
     gate: Gate | None = None
-    """How these barriers then rise; they are gone at once where absent."""
+    """How these barriers then rise; default: they vanish at once."""
     initial_pore_pressure_ratio: Share = None
-    """Of a saturated mass the pore pressure at the start over the total stress normal to its ground [-]; hydrostatic
-    below the water table where absent."""
+    """Initial pore pressure of a saturated mass over the total stress normal to its ground [-]; default: hydrostatic
+    below the water table."""
 
     @property
     def spin(self) -> NDArray[np.float64]:
@@ -163,22 +163,22 @@ class Baffle(Record):
     size: Size
     """Extent [m]."""
     turned_deg: float = 0.0
-    """Turn about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
+    """Rotation about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
     friction: Coefficient | None = None
-    """Coulomb coefficient of its faces [-], or "rough"; the scene's `baffle_friction` where absent."""
+    """Coulomb coefficient of its faces [-], or "rough"; default: the scene's `baffle_friction`."""
     turbulence: Turbulence = None
-    """Voellmy's turbulent coefficient xi of its faces [m/s^2] (`mpm.physics.contact`); no such term where absent."""
+    """Voellmy's turbulent coefficient xi of its faces [m/s^2] (`mpm.physics.contact`); default: no such term."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Channel(Record):
-    """Two vertical walls along x between which a scene in 2D flows; their friction acts on its whole depth. Per volume
-    of the material -2 tan(friction) (-sigma_zz) v / (width |v|), with its own pressure across the plane."""
+    """Two vertical walls along x that bound the flow of a 2D scene; their friction acts on its whole depth. Per volume
+    of the material it is -2 tan(friction) (-sigma_zz) v / (width |v|), with the stress across the plane."""
 
     width: Length
     """Distance between the walls [m]."""
     friction_deg: Annotated[float, Bounds("an angle in [0, 90) degrees", ge=0.0, lt=90.0)]
-    """Angle of friction of the walls [deg], in [0, 90); its tangent is Coulomb's coefficient."""
+    """Friction angle of the walls [deg], in [0, 90); its tangent is the Coulomb coefficient."""
 
     @property
     def grip(self) -> float:
@@ -188,27 +188,27 @@ class Channel(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Water(Record):
-    """Where the ground water stands at the start of a scene with saturated material (`mpm.initial.water`)."""
+    """The initial groundwater of a scene with saturated material (`mpm.initial.water`)."""
 
     level: Annotated[float | None, Bounds("an elevation in m", ge=-FARTHEST)] = None
-    """Elevation of a level water table [m]; without it and a `table` that of the `pool`, else the top of the masses."""
+    """Elevation of a level water table [m]; default without a `table`: the `pool`, else the top of the masses."""
     table: Rows | None = None
-    """Another one [m]: in 2D points x, y from small to large x, in 3D rows along x of columns along z."""
+    """A water table that varies [m]: in 2D points x, y from small to large x, in 3D rows along x of columns along z."""
     origin: Vector | None = None
     """x and z of the first elevation of a table in 3D [m]."""
     spacing: Size | None = None
     """Distance between its elevations along x and z [m]."""
     pool: Annotated[float | None, Bounds("an elevation in m", ge=-FARTHEST)] = None
-    """Elevation of standing water [m], which presses on the ground below it; of a slope at rest alone (`fixed`)."""
+    """Elevation of standing water [m], which presses on the ground below it; only for a slope at rest (`fixed`)."""
     drained: bool = False
-    """Whether floor and solids let water out; they are tight where absent."""
+    """Whether the floor and the solids let water out; default: impermeable."""
     fixed: bool = False
-    """Whether pore pressure acts on each particle as at the start: the slope at rest of a factor of safety."""
+    """Whether each particle keeps its initial pore pressure: for a slope at rest, as in a factor of safety."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solid(Record):
-    """A fixed rigid body; which keys give its shape depends on its kind (`datasets.geometry.shapes`).
+    """A fixed rigid body; its kind determines the keys of its shape (`datasets.geometry.shapes`).
 
     For example:
 
@@ -217,7 +217,7 @@ class Solid(Record):
     """
 
     name: str | None = None
-    """What it is called in records; `solids[I]` where absent."""
+    """Name in results; default: `solids[I]`."""
     kind: str = "box"
     """`box`, `polygon` (2D), `terrain` (solid below a line or a surface) or `mesh` (3D)."""
     lower: Vector | None = None
@@ -225,7 +225,7 @@ class Solid(Record):
     size: Size | None = None
     """Extent of a box [m]."""
     turned_deg: float = 0.0
-    """Turn of a box about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
+    """Rotation of a box about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
     vertices: Rows | None = None
     """Corners of a simple polygon in either orientation, or of the triangles of a mesh [m], shape [V, D]."""
     triangles: Triangles | None = None
@@ -241,17 +241,17 @@ class Solid(Record):
     corner: Vector | None = None
     """Easting and northing of x = 0, z = 0 in the coordinates of the raster that a terrain in 3D came from [m]."""
     crs: str | None = None
-    """Reference system of these coordinates, as an authority's code or in WKT, where the raster named one."""
+    """Reference system of these coordinates, as an authority's code or in WKT, if the raster names one."""
     friction: Annotated[float | Vector | Rows, Bounds("coefficients of at least 0", ge=0.0)] = 0.0
     """Coulomb coefficient [-]: a number, or one per vertex, point or height, linear between them."""
     contact: Annotated[str, Bounds("'coulomb' or 'no-slip'", words=("coulomb", "no-slip"))] = "coulomb"
     """`coulomb` or `no-slip`."""
     turbulence: Annotated[float | Rows | None, Bounds("positive coefficients in m/s^2", gt=0.0)] = None
     """Voellmy's turbulent coefficient xi [m/s^2] (`mpm.physics.contact`): a number, or one per height
-    of a terrain in 3D, 1 / xi linear along x and z between them; no such term where absent."""
+    of a terrain in 3D, 1 / xi linear along x and z between them; default: no such term."""
 
     def __hash__(self) -> int:
-        """Of a raster from its first row: millions of heights take longer than what is looked up by them."""
+        """A hash that uses only the first row of a raster: hashing millions of heights takes longer than it saves."""
         tables = self.heights, self.friction, self.triangles
         rows = [table[:1] if isinstance(table, tuple) else table for table in tables]
         shape = self.kind, self.lower, self.size, self.turned_deg, self.vertices, self.points
@@ -260,7 +260,7 @@ class Solid(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Stage(Record):
-    """What the material of some particles becomes at a time: it stands first, then it loses its strength.
+    """A change of the material of some particles at a time: for example, a slope stands first and then loses strength.
 
     For example:
 
@@ -269,17 +269,17 @@ class Stage(Record):
     """
 
     time: Moment
-    """When it begins [s], or "settled": when nothing moves any more since the stage before."""
+    """Start of the stage [s], or "settled": once nothing moves any more after the stage before."""
     mass: int | None = None
-    """Index of the one mass whose particles it is for; all where absent."""
+    """Index of the mass whose particles change; default: all masses."""
     lower: Vector | None = None
-    """Lower corner of a box [m]: it is for particles that began in it."""
+    """Lower corner of a box [m]: only particles that started in it change."""
     size: Vector | None = None
     """Extent of this box [m]."""
     outline: Rows | None = None
-    """The same in plan: corners x, z of a polygon, in 2D two x [m]."""
+    """The same region in plan: corners x, z of a polygon, in 2D two x [m]."""
     friction_deg: float | None = None
-    """From then on the material's; as it was where absent, and so the others."""
+    """The material's new value; unchanged by default, as are the following constants."""
     dilation_deg: float | None = None
     cohesion: float | None = None
     strength_gradient: float | None = None
@@ -287,32 +287,32 @@ class Stage(Record):
 
     @property
     def values(self) -> dict[str, Any]:
-        """The constants that it changes."""
+        """The constants that the stage changes."""
         names = ("friction_deg", "dilation_deg", "cohesion", "strength_gradient", "tension_cutoff")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneLayout(Record):
-    """What a scene consists of, each number within its bounds; a `Scene` is one whose parts fit together."""
+    """The parts of a scene, each number within its bounds; a `Scene` is a layout whose parts fit together."""
 
     domain: Domain
     material: Material
-    """The material of every mass that brings none of its own."""
+    """The material of every mass without its own."""
     masses: tuple[Mass, ...]
     fields: tuple[Field, ...] = ()
-    """What varies over the particles at the start: friction, velocities (`datasets.scene.grid_field`)."""
+    """Fields that vary over the particles at the start: friction, velocities (`datasets.scene.grid_field`)."""
     stages: tuple[Stage, ...] = ()
-    """When material changes, one after the other."""
+    """Changes of the material, in order of time."""
     baffles: tuple[Baffle, ...] = ()
     solids: tuple[Solid, ...] = ()
     """Other fixed rigid bodies: boxes, polygons, terrain, meshes."""
     channel: Channel | None = None
-    """Side walls of a scene in 2D; none where absent."""
+    """Side walls of a 2D scene; default: none."""
     water: Water | None = None
-    """Where the water stands in saturated material, to the top of each mass where absent."""
+    """Groundwater in saturated material; default: up to the top of each mass."""
     open_sides: tuple[str, ...] = ()
-    """Sides of the box that let material out, of "x-", "x+", "y-", "y+", "z-" and "z+"."""
+    """Sides of the box that let material out: any of "x-", "x+", "y-", "y+", "z-" and "z+"."""
     duration: Time = 1.0
     """Simulated time [s], a whole number of frames."""
     frame_dt: Time = 0.0025
@@ -322,23 +322,23 @@ class SceneLayout(Record):
     slope_deg: Annotated[float, Bounds("an angle in (-90, 90) degrees", gt=-90.0, lt=90.0)] = 0.0
     """Inclination of the floor [deg], in (-90, 90): downhill is +x; the box is drawn level, gravity tilts instead."""
     floor_friction: Coefficient = 0.0
-    """Coulomb coefficient of the floor y = 0 [-], or "rough": as rough as the grains, which then do not slide on it."""
+    """Coulomb coefficient of the floor y = 0 [-], or "rough": as rough as the grains, which do not slide on it."""
     wall_friction: Coefficient = 0.0
     """Coulomb coefficient of every other wall of the box [-], or "rough"."""
     baffle_friction: Coefficient = 0.0
-    """Coulomb coefficient of the faces of every baffle that names none of its own [-], or "rough"."""
+    """Coulomb coefficient of the faces of every baffle without its own [-], or "rough"."""
     damping: Annotated[float, Bounds("a fraction in [0, 1)", ge=0.0, lt=1.0)] = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
     relaxation_time: Annotated[float | None, Bounds("a time of at least 0 s", ge=0.0)] = None
     """Time [s] in which the part of a particle's velocity that the grid cannot represent decays.
 
-    Half of sqrt(cell / gravity) where absent, so that flows of any size decay alike; 0 loses it in every step (APIC).
+    Default: half of sqrt(cell / gravity), so that flows of any size decay alike; 0 removes it in every step (APIC).
     """
     volume_correction: bool | None = None
-    """Whether sand that has come apart closes its gaps before it bears anything again.
+    """Whether material that has come apart closes its gaps before it carries stress again.
 
-    Where absent, wherever sand may fall or splash: beside solids, where a mass has a velocity, and where a body is a
-    cell or more above what is beneath it.
+    Default: wherever material may fall or splash: beside solids, where a mass has a velocity, and where a body is a
+    cell or more above whatever is beneath it.
     """
     step_fraction: Annotated[float, Bounds("a fraction in (0, 1]", gt=0.0, le=1.0)] = 0.4
     """Time step as a fraction of cell / (pressure-wave speed), in (0, 1]."""
@@ -356,7 +356,7 @@ class SceneLayout(Record):
 
     @property
     def relaxation(self) -> float:
-        """The relaxation time [s]: as given, or in proportion to that of a fall through a cell; inf without gravity."""
+        """The relaxation time [s]: as given, or proportional to the fall time through a cell; inf without gravity."""
         if self.relaxation_time is not None:
             return self.relaxation_time
         return RELAXATION * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
@@ -373,8 +373,8 @@ class SceneLayout(Record):
 
     @property
     def particle_volume(self) -> float:
-        """Nominal volume of a particle [m^D], of a lattice that fits; `datasets.scene.particles` has those of each
-        mass."""
+        """Nominal volume of a particle [m^D] in a lattice that fits; `datasets.scene.particles` computes the volumes of
+        each mass."""
         return self.particle_spacing**self.dimension
 
     @property
@@ -389,7 +389,7 @@ class SceneLayout(Record):
         return mass.material or self.material
 
     def friction_of(self, baffle: Baffle) -> float | str:
-        """Friction of the faces of `baffle`: its own, else that of all baffles."""
+        """Friction of the faces of `baffle`: its own, else the scene's `baffle_friction`."""
         return self.baffle_friction if baffle.friction is None else baffle.friction
 
 

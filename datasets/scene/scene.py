@@ -1,4 +1,4 @@
-"""Scene: all that defines a simulation, in one frozen value."""
+"""Scene: the complete definition of a simulation, as one frozen value."""
 
 import dataclasses
 import json
@@ -13,9 +13,9 @@ from datasets.schema import from_mapping
 
 @dataclass(frozen=True, kw_only=True)
 class Scene(SceneLayout):
-    """Domain, material, masses, baffles and the simulated time; InputError where it cannot be simulated.
+    """Domain, material, masses, baffles and the simulated time. Raises InputError if it cannot be simulated.
 
-    Masses that are no boxes get the box around them, materials without a Young's modulus the default one.
+    Masses that are no boxes get the box around them; materials without a Young's modulus get the default one.
 
     For example:
 
@@ -35,7 +35,7 @@ class Scene(SceneLayout):
         return dataclasses.replace(self, domain=dataclasses.replace(self.domain, cell=cell))
 
     def with_friction_deg(self, friction_deg: float) -> "Scene":
-        """The same scene, its shared material at another angle of friction [deg]."""
+        """The same scene with another friction angle [deg] of its shared material."""
         return dataclasses.replace(self, material=dataclasses.replace(self.material, friction_deg=friction_deg))
 
     def to_json(self) -> str:

@@ -1,18 +1,17 @@
-"""How fast a flow may become, and the Young's modulus of a material that gives none.
+"""The largest speed that a flow may reach, and the default Young's modulus of a material.
 
-What bounds the speed of a body that slides or falls is its energy line (Heim 1932): from its release at x_0, y_0 with
-speed v_0 to any place x of the ground y(x), over the level distance s to it in a straight line,
+The energy line (Heim 1932) bounds the speed of a body that slides or falls. From its release at x_0, y_0 with speed v_0
+to any place x of the ground y(x), over the straight horizontal distance s,
 
     v^2 <= v_0^2 + 2 g_x (x - x_0) + 2 g_y (y_0 - y(x)) - 2 mu g_y s,    y_0: the middle of a body and half its height
 
-with the components of gravity along the box and down, and the least friction mu of ground and grains. The modulus is
+with the components of gravity along the box and down, and the smallest friction mu of ground and grains. The modulus is
 
     E = max(2 MPa, 50 rho g h, rho v^2)
 
-of a material of density rho, with the height h of what lies over one place. Under its own weight it is then compressed
-by less than a fiftieth, and its pressure waves, c = 1.16 v where nu = 0.3, keep pace with the flow: a front and its
-speed change by less than 3 % over a factor of ten of E (`tests/mpm/test_time_step.py`). A stiffer one only takes more
-steps.
+for a material of density rho and the height h of the material above a place. Its own weight then compresses it by less
+than a fiftieth, and its pressure waves, c = 1.16 v for nu = 0.3, keep pace with the flow: a front and its speed change
+by less than 3 % over a factor of ten of E (`tests/mpm/test_time_step.py`). A stiffer material only needs more steps.
 """
 
 import dataclasses
@@ -25,7 +24,7 @@ from datasets.scene.material import USUAL_YOUNG, Material
 from datasets.scene.parts import SceneLayout
 
 UNDER_WEIGHT, IN_MOTION = 50.0, 1.0  # Young's modulus over rho g h, and over rho v^2
-PLACES = 100  # along the longest side of the box, of the ground that is looked at
+PLACES = 100  # evaluated places of the ground along the longest side of the box
 
 
 def with_stiffness(scene: SceneLayout) -> dict[str, Any]:
@@ -48,14 +47,14 @@ def with_stiffness(scene: SceneLayout) -> dict[str, Any]:
 
 
 def specific_stress(scene: SceneLayout) -> float:
-    """max(50 g h, v^2) [m^2/s^2]: times the density the least modulus that a flow needs."""
+    """max(50 g h, v^2) [m^2/s^2]; multiplied by the density it is the smallest modulus that a flow needs."""
     from datasets.geometry.bodies import scene_height
 
     return max(UNDER_WEIGHT * scene.gravity * scene_height(scene), IN_MOTION * greatest_speed(scene) ** 2)
 
 
 def greatest_speed(scene: SceneLayout) -> float:
-    """The largest speed [m/s] that the energy line of any mass allows; 0 of one that stays at rest."""
+    """The largest speed [m/s] that the energy line of any mass allows; 0 if all stay at rest."""
     from datasets.geometry.bodies import height
     from datasets.geometry.ground import ground_raster
 

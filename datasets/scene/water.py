@@ -1,16 +1,16 @@
-"""Pore water of a saturated material: what a scene says of it, and the numbers that the solver takes of that.
+"""Pore water of a saturated material: the constants of a scene, and the numbers that the solver derives from them.
 
 The pore pressure p of a mixture whose grains and water move together follows
 
     dp/dt = Q (div(kappa (grad p - rho_w g)) - div v),    kappa = k / (rho_w g)
 
 with the permeability k [m/s] and a bulk modulus Q of the water per volume of the mixture. Q is numerical: `STIFFER`
-times the constrained modulus M of the skeleton, far below that of water. Grains change their volume by the water that
-flows alone (`mpm.physics.water`), their shape by all strain, so that the coefficient of consolidation is
+times the constrained modulus M of the skeleton, far below that of water. The skeleton changes volume only by the water
+that flows (`mpm.physics.water`), and shape by all strain, so that the coefficient of consolidation is
 
     c_v = kappa M / (1 + 4 G / (3 Q))    (Terzaghi 1923; k M / (rho_w g) for stiff water),
 
-and a `consolidation` given as c_v is met whatever Q is.
+and a given `consolidation`, c_v, is reproduced for any Q.
 """
 
 from datasets.errors import require
@@ -18,15 +18,15 @@ from datasets.scene.material import Material
 from datasets.scene.parts import SceneLayout
 
 DENSITY = 1000.0  # of water [kg/m^3]
-CAVITATION = 1.0e5  # suction at which water boils [Pa]
-NO_GRAVITY = 1.0e-9  # less than any [m/s^2]
+CAVITATION = 1.0e5  # suction at which water cavitates [Pa]
+NO_GRAVITY = 1.0e-9  # lower bound of gravity in a division [m/s^2]
 STIFFER = 20.0  # Q / M [-]
 DRAINED, UNDRAINED = 3.0, 0.01
-"""c_v t / h^2 from which on a layer of thickness h has consolidated by 99.9 %, and up to which by a ninth at most."""
+"""c_v t / h^2 at which a layer of thickness h has consolidated by 99.9 %, and up to which by at most a ninth."""
 
 
 def saturated(scene: SceneLayout) -> Material | None:
-    """The saturated material of a scene; None where it is dry. Raises InputError for several that differ."""
+    """The saturated material of a scene; None if it is dry. Raises InputError for several different ones."""
     materials = {material for mass in scene.masses if (material := scene.material_of(mass)).saturated}
     require(len(materials) < 2, "masses", "one saturated material, beside dry ones", f"{len(materials)}")
     return next(iter(materials), None)
@@ -38,21 +38,21 @@ def constrained_modulus(material: Material) -> float:
 
 
 def consolidation(material: Material, gravity: float) -> float:
-    """c_v [m^2/s], 0 of an undrained material."""
+    """c_v [m^2/s]; 0 for an undrained material."""
     if material.consolidation is not None:
         return material.consolidation
     return (material.permeability or 0.0) * constrained_modulus(material) / (DENSITY * max(gravity, NO_GRAVITY))
 
 
 def mobility(material: Material, gravity: float) -> float:
-    """kappa [m^2/(Pa s)] with which the mixture consolidates as `consolidation` says."""
+    """kappa [m^2/(Pa s)] that gives the mixture the coefficient of `consolidation`."""
     modulus = constrained_modulus(material)
     deviator = 4.0 / 3.0 * material.shear_modulus / (STIFFER * modulus)
     return consolidation(material, gravity) * (1.0 + deviator) / modulus
 
 
 def drainage(scene: SceneLayout, time: float) -> str:
-    """Whether the water of a flow of so much `time` [s] stays, leaves or does something between; empty where dry."""
+    """Whether a flow of duration `time` [s] is drained, undrained or partly drained, in words; empty if dry."""
     material = saturated(scene)
     if material is None:
         return ""
@@ -71,14 +71,14 @@ def drainage(scene: SceneLayout, time: float) -> str:
 
 
 def seepage(scene: SceneLayout) -> float:
-    """Whether water flows from cell to cell while a scene lasts: c_v time / cell^2 [-], at most 1; 0 where dry."""
+    """Seepage from cell to cell during a scene: c_v time / cell^2 [-], at most 1; 0 if dry."""
     material = saturated(scene)
     rate = 0.0 if material is None else consolidation(material, scene.gravity)
     return min(rate * scene.duration / scene.domain.cell**2, 1.0)
 
 
 def pore_numbers(scene: SceneLayout) -> tuple[float, float, float]:
-    """Q [Pa], Q kappa [m^2/s] and Q over the density of the mixture [m^2/s^2]; 0 where a scene is dry."""
+    """Q [Pa], Q kappa [m^2/s] and Q over the density of the mixture [m^2/s^2]; 0 if the scene is dry."""
     material = saturated(scene)
     if material is None:
         return 0.0, 0.0, 0.0

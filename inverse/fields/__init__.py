@@ -1,1 +1,1 @@
-"""Unknown fields: their search by the MPM's adjoint, led by a surrogate where one is asked, and their posterior."""
+"""Unknown fields: their search with the MPM's adjoint, optionally led by a surrogate, and their posterior."""

@@ -1,4 +1,4 @@
-"""The MPM as a function of white numbers: independent normal ones, of which unknown fields and numbers follow."""
+"""The MPM as a function of white numbers: independent normal numbers that determine unknown fields and numbers."""
 
 import math
 from collections.abc import Sequence
@@ -25,29 +25,29 @@ from mpm.adjoint.tape import FlowAdjoints, Tape, steady
 
 MEMORY_MIB = 512.0  # for the checkpoints of the runs that are reversed side by side [MiB]
 KEPT, STEP = 0.05, 0.5
-"""Variance of a field along the directions of differences, over the largest, at least; and their step, root mean square
-over the runs, in standard deviations of the prior."""
-IDLE = 4  # columns of the steps of differences that move nothing
+"""Smallest variance of a field along a direction of differences, over the largest; their step, root mean square over
+the runs, in standard deviations of the prior."""
+IDLE = 4  # columns in the design of differences that move nothing
 
 
 class WhiteFlow:
-    """Runs of the MPM at W white numbers, which show M numbers."""
+    """Runs of the MPM at W white numbers, observed as M numbers."""
 
     def __init__(self, problem: Problem, observation: Observation) -> None:
         self.problem, self.observation = problem, observation
         self.runs = self.reverses = 0
-        """MPM runs and reverse passes so far."""
+        """Number of MPM runs and of reverse passes so far."""
         self.bar = tqdm(desc="adjoint", unit="run", leave=False, disable=None)
         ends = np.cumsum([0, *(unknown.prior.size for unknown in problem.fields), len(problem.numbers)])
         *self.parts, self.of_numbers = [slice(int(first), int(end)) for first, end in pairwise(ends)]
-        """Which white numbers are those of each field; of all numbers."""
+        """The white numbers of each field, and of all unknown numbers."""
         self.size = int(ends[-1])
         scene = problem.scene
         observed = [part.observation.times for part in observation.parts if part.observation.times is not None]
         times = np.concatenate([[scene.duration], *observed])
         before, share = brackets(np.arange(scene.frames, dtype=np.float64) * scene.frame_dt, times)
         self.frames = sorted({*before.tolist(), *(before + np.ceil(share).astype(np.int64)).tolist()})
-        """Frames that the observation looks at, and the last."""
+        """Frames that the observation uses, and the last."""
 
     def latents(self, white: Floats) -> list[Floats]:
         """u [K] of each field."""
@@ -79,17 +79,17 @@ class WhiteFlow:
         return np.stack([self.observation.observe(run) for run in self.simulated(points, seeds)])
 
     def mean(self, white: Floats, seeds: Sequence[int]) -> Floats:
-        """The observed numbers [M] at white numbers [W], mean over jitter seeds."""
+        """Mean over jitter seeds of the observed numbers [M] at white numbers [W]."""
         return np.asarray(self.observe([white] * len(seeds), seeds).mean(axis=0))
 
     @property
     def reverses_combinations(self) -> bool:
-        """Whether each combination of the numbers has a price, that of a reverse pass."""
+        """Whether each combination of the numbers costs a reverse pass."""
         return self.problem.optimiser.derivatives is Derivatives.ADJOINT
 
     @cached_property
     def directions(self) -> Floats:
-        """Orthonormal, shape [V, W]: along which a field varies by `KEPT` of its largest variance, and each number."""
+        """Orthonormal directions, [V, W]: those with at least `KEPT` of a field's largest variance, and each number."""
         rows = list[Floats]()
         for unknown, part in zip(self.problem.fields, self.parts, strict=True):
             _, spread, basis = np.linalg.svd(unknown.prior.field(np.eye(unknown.prior.size)), full_matrices=False)
@@ -99,13 +99,13 @@ class WhiteFlow:
         return np.concatenate([*rows, np.eye(self.size)[self.of_numbers]])
 
     def differences(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
-        """`jacobian` by runs that each move along all V `directions` at once, V + 1 + `IDLE` of them for each seed.
+        """`jacobian` from V + 1 + `IDLE` runs for each seed, each of which moves along all V `directions` at once.
 
-        Their steps, `STEP` times columns that are orthogonal to one another and to the constant, tell every derivative
-        by all runs (Plackett & Burman, The design of optimum multifactorial experiments, Biometrika 33 (1946) 305-325):
-        runs of one direction at a time would need V times as many to average the scatter of chaotic flows as well.
-        Every second seed takes the steps of the one before it backwards, so that terms of even order cancel. What seems
-        to follow from the columns that move nothing is noise, and is taken out (`denoised`).
+        Their steps are `STEP` times columns that are orthogonal to each other and to the constant. All runs contribute
+        to every derivative (Plackett & Burman, The design of optimum multifactorial experiments, Biometrika 33 (1946)
+        305-325); one direction at a time would need V times as many runs for the same noise in chaotic flows. Every
+        second seed takes the opposite steps of the seed before it, so that terms of even order cancel. Apparent effects
+        of the idle columns measure the noise, which is removed (`denoised`).
         """
         count, rng = len(self.directions) + 1 + IDLE, np.random.default_rng(0)
         slope: Floats | float = 0.0
@@ -119,7 +119,7 @@ class WhiteFlow:
         return denoised(shown[:, IDLE:], float((shown[:, :IDLE] ** 2).mean())) @ self.directions
 
     def jacobian(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
-        """Derivatives [r, W] of `combinations` [r, M] of the numbers at white numbers [W], mean over jitter seeds."""
+        """Mean over jitter seeds of the derivatives [r, W] of `combinations` [r, M] of the numbers at white [W]."""
         if not self.reverses_combinations:
             return self.differences(white, combinations, seeds)
         jacobian, fields = np.zeros((len(combinations), self.size)), self.fields(white)
@@ -141,7 +141,7 @@ class WhiteFlow:
         return jacobian
 
     def pulled_back(self, by_nodes: Sequence[Floats], by_numbers: Floats, white: Floats) -> Floats:
-        """Derivatives by the white numbers [W] from those by the values of each field [K] and by the numbers [U]."""
+        """Derivatives with respect to white numbers [W], from those with respect to fields [K] and numbers [U]."""
         adjoint = np.zeros(self.size)
         rows = zip(self.problem.fields, self.latents(white), self.parts, by_nodes, strict=True)
         for unknown, latent, part, nodes in rows:
@@ -151,7 +151,7 @@ class WhiteFlow:
         return adjoint
 
     def adjoints(self, tape: Tape, index: int, combinations: Floats) -> tuple[Floats, Floats]:
-        """Derivatives of combinations [r, M] by observed positions [r, T, N, D] and by particles' volumes [r, N]."""
+        """Derivatives of combinations [r, M] with respect to positions [r, T, N, D] and particle volumes [r, N]."""
         positions = torch.from_numpy(tape.positions(index)).requires_grad_()
         rollout = Rollout(
             positions=positions,
@@ -166,9 +166,9 @@ class WhiteFlow:
 
 
 def denoised(matrix: Floats, variance: float) -> Floats:
-    """The matrix of low rank that is nearest to the one [r, V] behind `matrix`, whose entries have noise.
+    """The low-rank estimate of the matrix [r, V] behind the noisy `matrix`.
 
-    variance: of the noise of an entry. In its unit, that of a random matrix, a singular value becomes
+    variance: of the noise of an entry. In units of a random matrix with this noise, a singular value becomes
     ((s^2 - b - 1)^2 - 4 b)^(1/2) / s, 0 below 1 + b^(1/2), with the ratio b <= 1 of the sides (Gavish & Donoho, Optimal
     shrinkage of singular values, IEEE Trans. Inf. Theory 63 (2017) 2137-2152, eq. 7).
     """

@@ -1,25 +1,25 @@
-"""The most probable parameters, fields among them, and what the observation tells of each: Laplace's approximation.
+"""The most probable parameters, including fields, and their posterior by Laplace's approximation.
 
     2 J(w) = |L^-1 (F(w) - y)|^2 + |w|^2,    R = N + (1 + 1/n) C = L L^T
     G = L^-1 dF/dw = U S V^T,    covariance of w = I - V diag(s^2 / (1 + s^2)) V^T
 
 | symbol | variable | meaning |
 |---|---|---|
-| w | `white` | independent normal numbers of the prior, of which fields and numbers are functions |
-| F | `numbers` | what runs of the MPM show, mean over n jitter seeds |
-| N, C | `noise` | covariance of the measurement; of flows that differ in their jitter seed alone |
+| w | `white` | independent normal numbers of the prior, which determine fields and numbers |
+| F | `numbers` | results of MPM runs, mean over n jitter seeds |
+| N, C | `noise` | covariance of the measurement; of flows that differ only in their jitter seed |
 
 A field is u = S A w (`inverse.parameters.field`), a number lower + (upper - lower) Phi(w), Phi the normal distribution:
-uniform between its bounds. Observations are exact; derivatives are the adjoint's, through the smooth operator: one
+uniform between its bounds. Observations are exact; derivatives come from the adjoint, through the smooth operator: one
 reverse pass for each combination of the numbers, one replay of the run for all. Both are averaged over jitter seeds.
 
-Gauss-Newton steps solve the problem that is linear about w; a step is halved until runs show that J has fallen.
-Derivatives are taken of those combinations of the numbers alone that the prior moves by more than their errors. The
+Gauss-Newton steps solve the problem linearised about w; a step is halved until runs show that J has fallen.
+Derivatives are taken only of combinations of the numbers that the prior moves by more than their errors. The
 posterior is a low-rank update of the prior by the eigenpairs of the Hessian of the misfit, preconditioned by the prior
 (Bui-Thanh, Ghattas, Martin & Stadler, A computational framework for infinite-dimensional Bayesian inverse problems,
-SIAM J. Sci. Comput. 35 (2013) A2494-A2523): along V_k the observation tells s_k^2 times as much as the prior.
+SIAM J. Sci. Comput. 35 (2013) A2494-A2523): along V_k the observation carries s_k^2 times the prior's information.
 
-Where a surrogate leads, it searches; then the MPM's runs count, with the surrogate's derivatives
+If a surrogate leads, it searches first; then MPM runs continue with the surrogate's derivatives
 (`led`).
 """
 
@@ -51,32 +51,32 @@ from mpm.adjoint.tape import check
 from mpm.arrays.features import features_of
 
 FIRST_SEEDS, FIRST_CONVERGED = 2, 2.0  # jitter seeds of the first search, and how far from its minimum it ends
-DRAWS = 100  # samples of a field that are kept
+DRAWS = 100  # stored samples of a field
 LEFT = 2.0
-"""Promised decrease of the objective beyond which the report says so: two standard deviations along one direction."""
+"""Promised decrease of the objective that the report mentions: two standard deviations along one direction."""
 LED_RUNS, LED_CHECKS = 8, 3
-"""Runs of the MPM where a surrogate leads, and how many of them check the answer; each with its own jitter seed."""
+"""MPM runs if a surrogate leads, and the number of them that check the answer; each with its own jitter seed."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a search for fields ends with."""
+    """The result of a search for fields."""
 
     posterior: Gaussian
     runs: Floats
-    """What runs near the answer show that differ in their jitter seed, shape [n, M]."""
+    """Results of runs near the answer that differ in their jitter seed, shape [n, M]."""
     draws: Floats | None
-    """What runs show at draws of the prior, shape [n, M], where derivatives are asked for of combinations."""
+    """Results of runs at draws from the prior, shape [n, M], if derivatives are of combinations."""
     iterates: Sequence[dict[str, float]]
     checks: int
-    """Runs of the MPM that check the answer."""
+    """Number of MPM runs that check the answer."""
     surrogate: dict[str, Any]
 
 
 def of_fields(problem: Problem, model: Path | None = None) -> Result:
-    """The most probable fields and numbers, their posterior, and runs of the MPM there.
+    """The most probable fields and numbers, their posterior, and MPM runs with them.
 
-    By the MPM's adjoint, or led by a surrogate, whose weights are `model` where given (`leading`). Raises InputError.
+    The search uses the MPM's adjoint, or a surrogate leads it; model: its weights (`leading`). Raises InputError.
     """
     began, used = time.perf_counter(), time.process_time()
     target = read_target(problem, simulate)
@@ -98,8 +98,8 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
     fields = field_posteriors(flow, posterior)
     unknowns = sum(int(field.unknown.inside.sum()) for field in fields) + len(problem.numbers)
     notes = [
-        f"{unknowns} values from {len(target.values)} numbers: {posterior.informative} directions in which the "
-        "observation tells more than the prior, by the Gaussian approximation about the most probable values."
+        f"{unknowns} values from {len(target.values)} numbers: in {posterior.informative} directions the observation "
+        "is more informative than the prior, in the Gaussian approximation about the most probable values."
     ]
     if lead is not None:
         said, objective = outcome.surrogate, outcome.surrogate["objective"]
@@ -107,18 +107,18 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
         notes.append(
             f"The surrogate found its answer by {said['predictions']} predictions in {said['seconds']:.0f} s. With its "
             f"derivatives ({said['more_predictions']} more predictions, {said['reverse_passes']} reverse passes) "
-            f"runs of the MPM moved on: the objective went from {objective[0]:.4g} to "
+            f"runs of the MPM went on: the objective changed from {objective[0]:.4g} to "
             f"{min(objective):.4g}.{word}"
         )
     if posterior.promised > LEFT and "confirmed" not in outcome.surrogate and lead is not None:
         notes.append(
-            f"Its runs of the MPM ended where derivatives promise {posterior.promised:.1f} more of the objective; the "
-            "widths count what the derivatives have failed to foresee."
+            f"The MPM runs ended where derivatives promise a further decrease of the objective by "
+            f"{posterior.promised:.1f}; the widths include the errors of the derivatives."
         )
     elif posterior.promised > LEFT:
         notes.append(
-            f"**The search ended where its derivatives promise {posterior.promised:.1f} more of the objective, which "
-            "no step brought: the fields are known less well than their widths say. More `optimiser.seeds` make "
+            f"**The search ended where its derivatives promise a decrease of the objective by {posterior.promised:.1f} "
+            "that no step achieved: the fields are less certain than their widths show. More `optimiser.seeds` make "
             "derivatives smoother.**"
         )
     total = time.perf_counter() - began
@@ -142,7 +142,7 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
 
 
 def checked(flow: WhiteFlow, target: Target, outcome: Found) -> Answer:
-    """The answer, with runs of the MPM there."""
+    """The answer, with MPM runs at it."""
     problem, posterior, values = flow.problem, outcome.posterior, flow.values(outcome.posterior.mean)
     seeds = range(problem.scatter_seeds[-1] + 1, problem.scatter_seeds[-1] + 1 + outcome.checks)
     spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.of_numbers] ** 2).sum(axis=1), 0.0))
@@ -162,9 +162,9 @@ def checked(flow: WhiteFlow, target: Target, outcome: Found) -> Answer:
 
 
 def first_search(flow: WhiteFlow, target: Target, errors: Floats, start: Floats) -> Found:
-    """From `start` [W] by the derivatives of `flow`, with few seeds and the scatter there.
+    """Search from `start` [W] with the derivatives of `flow`, with few seeds and the scatter at the start.
 
-    errors: covariance of the numbers besides the scatter [M, M].
+    errors: covariance of the numbers without the scatter [M, M].
     """
     problem, draws = flow.problem, None
     seed, seeds = problem.scene.seed, problem.scatter_seeds
@@ -181,39 +181,39 @@ def first_search(flow: WhiteFlow, target: Target, errors: Floats, start: Floats)
 def objective_of(
     flow: WhiteFlow, target: Target, errors: Floats, runs: Floats, seeds: Sequence[int], draws: Floats | None
 ) -> Objective:
-    """J with the scatter of `runs` [n, M], which differ in their jitter seed alone; errors: as above."""
+    """J with the scatter of `runs` [n, M], which differ only in their jitter seed; errors: as above."""
     scatter = (1.0 + 1.0 / len(seeds)) * scatter_of(runs, target).covariance
     return Objective(flow, target.values, errors + scatter, seeds, draws=draws)
 
 
 def scatter_of(runs: Floats, target: Target) -> Scatter:
-    """That of runs [n, M] at one point, which differ in their jitter seed."""
+    """The scatter of runs [n, M] at one point, which differ in their jitter seed."""
     expected = target.observation.prior_scatter(target.values)
     return Scatter(deviations=runs - runs.mean(axis=0), freedom=len(runs) - 1, expected=expected)
 
 
 def alone(flow: WhiteFlow, target: Target, start: Floats) -> Found:
-    """By the MPM's own derivatives from white numbers `start` [W]. Raises InputError for a scene without an adjoint."""
+    """Search with the MPM's derivatives from white numbers `start` [W]. Raises InputError without an adjoint."""
     if flow.problem.optimiser.derivatives is Derivatives.ADJOINT:
         check(features_of([flow.problem.scene], "f32"))
     first = first_search(flow, target, errors := target.errors.matrix, start)
-    # Again with the scatter of the fields that were found, and all seeds.
+    # Repeat with the scatter at the found fields, and all seeds.
     objective = objective_of(flow, target, errors, first.runs, flow.problem.seeds, first.draws)
     posterior = objective.minimise(first.posterior.mean, flow.problem.optimiser.max_iterations)
     return replace(first, posterior=posterior, iterates=[*first.iterates, *objective.iterates])
 
 
 def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
-    """By a surrogate alone, then by its derivatives and runs of the MPM, the last of which check the answer."""
+    """Search with a surrogate, then with its derivatives and MPM runs, the last of which check the answer."""
     began, start = time.perf_counter(), np.zeros(flow.size)
     error = lead.errors(start) if isinstance(lead, SurrogateFlow) else np.zeros((0, len(target.values)))
     outcome = first_search(lead, target, target.errors.matrix + error.T @ error, start)
     posterior, said = outcome.posterior, {"seconds": time.perf_counter() - began, "predictions": lead.runs}
-    # Two flows of the MPM at the answer say how much its own scatter is of the surrogate's, whose shape it has.
+    # Two MPM flows at the answer give the size of the MPM's scatter; the surrogate's scatter gives its shape.
     seeds, shape = [flow.problem.scene.seed, flow.problem.scatter_seeds[0]], scatter_of(outcome.runs, target).covariance
     pair = flow.observe([posterior.mean] * 2, seeds)
     scatter = 0.5 * float(((pair[0] - pair[1]) ** 2).sum()) / float(np.trace(shape)) * shape
-    # The MPM has no error of a surrogate.
+    # The MPM does not have the error of the surrogate.
     combinations = posterior.combinations if lead.reverses_combinations else None
     covariance = target.errors.matrix + 2.0 * scatter
     leads = lead, lead.problem.seeds

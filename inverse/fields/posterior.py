@@ -1,4 +1,4 @@
-"""The posterior of an unknown field at its nodes: most probable values, widths, samples, and what is identified."""
+"""The posterior of an unknown field at its nodes: most probable values, widths, samples, identified nodes."""
 
 import re
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ from datasets.flow import measures
 from inverse.observations import Values
 from inverse.parameters.field import BAND, UnknownField
 
-IDENTIFIED = 0.5  # share of the prior's variance beyond whose removal the observation identifies a value of a field
+IDENTIFIED = 0.5  # a value of a field is identified if the observation removes more than this share of prior variance
 
 
 @dataclass(frozen=True, kw_only=True)
 class FieldPosterior:
-    """A field at its K nodes, in its unit; statistics are over the nodes beside the body alone."""
+    """A field at its K nodes, in its unit; statistics cover only the nodes of the body."""
 
     unknown: UnknownField
-    latent: Values  # u of `inverse.parameters.field`, the most probable one, shape [K]
-    width: Values  # standard deviation of u that is left, shape [K]
+    latent: Values  # the most probable u of `inverse.parameters.field`, shape [K]
+    width: Values  # posterior standard deviation of u, shape [K]
     draws: Values  # samples of the field, shape [draws, K]
-    truth: Values | None  # where known, shape [K]
+    truth: Values | None  # true field if known, shape [K]
 
     @property
     def name(self) -> str:
@@ -35,10 +35,10 @@ class FieldPosterior:
 
     @cached_property
     def arrays(self) -> dict[str, Values]:
-        """What is known at each node by name, shape [K] each.
+        """Name -> values at the nodes, shape [K] each.
 
-        `deviation` and `prior_deviation` are widths of bands of 95 % over those of one standard deviation, `removed` is
-        the share of the prior's variance that the observation removes.
+        `deviation` and `prior_deviation` are standard deviations equivalent to the widths of the 95 % bands, `removed`
+        is the share of the prior variance that the observation removes.
         """
         unknown, latent, width = self.unknown, self.latent, self.width
         arrays = {
@@ -54,20 +54,20 @@ class FieldPosterior:
 
     @property
     def saved(self) -> dict[str, Values]:
-        """The arrays of `field.npz`; there the names of those of field k begin with `k_`."""
+        """The arrays of `field.npz`, in which the names of field k start with `k_`."""
         grid = self.unknown.grid
         return {"positions": grid.positions, "nodes": np.array(grid.nodes), "draws": self.draws} | self.arrays
 
     @property
     def identified(self) -> NDArray[np.bool_]:
-        """Which nodes beside the body the observation identifies, shape [K]."""
+        """Which nodes of the body the observation identifies, shape [K]."""
         return (self.arrays["removed"] > IDENTIFIED) & self.unknown.inside
 
     def average(self, values: Values) -> float:
         return float(values[self.unknown.inside].mean())
 
     def identified_box(self) -> list[tuple[float, float]] | None:
-        """Between which coordinates the identified nodes lie along each axis [m]; None where there are none."""
+        """Smallest and largest coordinate of the identified nodes along each axis [m]; None if there are none."""
         if not self.identified.any():
             return None
         here = self.unknown.grid.positions[self.identified]
@@ -80,7 +80,7 @@ class FieldPosterior:
         return measures.rms(((self.arrays["mean"] if values is None else values) - self.truth)[where])
 
     def covered(self, where: NDArray[np.bool_]) -> float | None:
-        """Share of the true values at nodes `where` [K] that the bands hold; None where they are not known."""
+        """Share of the true values at nodes `where` [K] within the bands; None if they are not known."""
         if self.truth is None or not where.any():
             return None
         inside = (self.arrays["lower"] <= self.truth) & (self.truth <= self.arrays["upper"])

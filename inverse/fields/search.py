@@ -14,11 +14,11 @@ import scipy.linalg
 
 from datasets.scene.grid_field import Floats
 
-SHORTEST = 0.25  # of the steps of the line search, over a whole one
-DECREASE = 0.1  # of J, over that of the linear problem, with which a step is accepted
+SHORTEST = 0.25  # shortest step of the line search, over the full step
+DECREASE = 0.1  # smallest decrease of J, over that of the linear problem, for a step to be accepted
 CONVERGED = 0.5
-"""Decrease of J below which there is nothing left to gain: that of one standard deviation along one direction."""
-SMALL = 0.2  # variance of a combination over draws of the prior, over that of its errors, below which it is left out
+"""Decrease of J at which the search has converged: that of one standard deviation along one direction."""
+SMALL = 0.2  # variance of a combination over draws from the prior, over that of its errors, below which it is left out
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,13 @@ class Gaussian:
     """The posterior of W white numbers."""
 
     mean: Floats
-    """The most probable ones, shape [W]."""
+    """The most probable white numbers, shape [W]."""
     jacobian: Floats
-    """G of as many combinations of the numbers as matter, shape [r, W]."""
+    """G of the relevant combinations of the numbers, shape [r, W]."""
     promised: float
-    """Decrease of J that another step would bring where the numbers are linear."""
+    """Decrease of J by another step if the numbers were linear."""
     combinations: Floats
-    """Those of the numbers, shape [r, M]."""
+    """These combinations of the numbers, shape [r, M]."""
 
     @cached_property
     def decomposition(self) -> tuple[Floats, Floats]:
@@ -42,7 +42,7 @@ class Gaussian:
 
     @property
     def informative(self) -> int:
-        """How many directions the observation tells more of than the prior."""
+        """Number of directions in which the observation is more informative than the prior."""
         return int((self.decomposition[0] > 1.0).sum())
 
     @property
@@ -72,11 +72,11 @@ class Objective:
         draws: Floats | None = None,
         combinations: Floats | None = None,
     ) -> None:
-        """flow: `inverse.fields.flow.WhiteFlow`, or what has its `mean` and `jacobian`; target: y [M]; covariance: R
-        [M, M]; seeds: n of F; lead: a flow whose derivatives are taken, and their jitter seeds; else those of `flow`.
+        """flow: `inverse.fields.flow.WhiteFlow`, or any object with `mean` and `jacobian`; target: y [M]; covariance: R
+        [M, M]; seeds: n of F; lead: another flow that gives derivatives, and its jitter seeds; default: `flow`.
 
-        Derivatives are asked for of combinations of the numbers: of `combinations` [r, M], or where there are `draws`,
-        numbers [n, M] at draws of the prior, of those by which these differ; else of every number.
+        Derivatives are of `combinations` [r, M] of the numbers if given. Else, with `draws`, numbers [n, M] at draws
+        from the prior, they are of the combinations in which these differ; else of every number.
         """
         self.flow, self.target, self.seeds, self.lead = flow, target, seeds, lead or (flow, seeds)
         self.root = scipy.linalg.cholesky(covariance, lower=True)
@@ -92,10 +92,10 @@ class Objective:
         """U^T L^-1 with orthonormal U: uncorrelated combinations of the numbers with errors of 1, shape [r, M]."""
         self.iterates: list[dict[str, float]] = []
         self.missed: list[tuple[float, float]] = []
-        """|e|^2 and |dw|^2 of each step that was tried: what derivatives did not foresee, e = L^-1 dF - G dw."""
+        """|e|^2 and |dw|^2 of each tried step, with the error of the derivatives e = L^-1 dF - G dw."""
 
     def whitened(self, numbers: Floats) -> Floats:
-        """Numbers [M, ...] in units in which their errors are independent and 1."""
+        """Numbers [M, ...] in units in which their errors are independent with variance 1."""
         return np.asarray(scipy.linalg.solve_triangular(self.root, numbers, lower=True))
 
     def iterate(self, white: Floats, numbers: Floats, step: float) -> dict[str, float]:
@@ -113,9 +113,9 @@ class Objective:
         numbers: Floats | None = None,
         runs: float = math.inf,
     ) -> Gaussian:
-        """From `start` [W] to the most probable white numbers.
+        """Search from `start` [W] for the most probable white numbers.
 
-        enough: decrease of J that a step must promise; numbers: F at the start [M] where known; runs: most evaluations.
+        enough: decrease of J that a step must promise; numbers: F at the start [M] if known; runs: most evaluations.
         """
         white, (lead, seeds) = start, self.lead
         numbers = self.flow.mean(white, self.seeds) if numbers is None else numbers
@@ -147,22 +147,22 @@ class Objective:
             self.iterates.append(iterate)
 
     def doubt(self, scatter: Floats) -> float:
-        """Mean of |e|^2 / |dw|^2 over the steps, without what two runs differ by with the `scatter` [M, M] of each."""
+        """Mean of |e|^2 / |dw|^2 over the steps, minus the part due to the `scatter` [M, M] of both runs."""
         noise = 2.0 * float(((self.combinations @ scatter) * self.combinations).sum())
         return float(np.mean([max(0.0, missed - noise) / moved for missed, moved in self.missed] or 0.0))
 
 
 def doubted(posterior: Gaussian, wrong: float, directions: Floats) -> Gaussian:
-    """A posterior whose derivatives are off by errors E with E|E dw|^2 = `wrong` |dw|^2, as its steps have shown.
+    """A posterior that allows for errors E of its derivatives, with E|E dw|^2 = `wrong` |dw|^2 from its steps.
 
-    Where the truth lies w_t - w away, E (w_t - w) is an error of the combination U_k^T besides its own, which is 1. E
-    is taken to be random, of a size along U_k in proportion to s_k^(1/2), and to act along the `directions` D [V, W] in
-    which the prior varies:
+    If the truth is w_t, E (w_t - w) is an additional error of the combination U_k^T, whose own error is 1. E is assumed
+    random, with a size along U_k proportional to s_k^(1/2), and to act along the `directions` D [V, W] in which the
+    prior varies:
 
         s_k^2 <- s_k^2 / (1 + wrong tr(D cov(w) D^T) s_k / sum s)
 
-    So a direction that is itself uncertain is not known exactly, however small the noise is. The exponent is that by
-    which derivatives on two sizes of cells differ in the problem `gully`, measured once.
+    A direction with uncertain derivatives is therefore never known exactly, however small the noise. The exponent is
+    the measured one of the difference between derivatives on two cell sizes in the problem `gully`.
     """
     left, values, rest = np.linalg.svd(posterior.jacobian, full_matrices=False)
     spread = len(directions) - float(((directions @ posterior.removed) ** 2).sum())
@@ -171,7 +171,7 @@ def doubted(posterior: Gaussian, wrong: float, directions: Floats) -> Gaussian:
 
 
 def linear_mean(jacobian: Floats, white: Floats, residual: Floats) -> Floats:
-    """The most probable w [W] of numbers that are linear about `white`, where they are off by `residual` [r].
+    """The most probable w [W] if the numbers are linear about `white`, at which their residual is `residual` [r].
 
     w = G^T (I + G G^T)^-1 (G w0 - residual) = (I + G^T G)^-1 G^T (G w0 - residual): whichever has fewer equations.
     """
@@ -182,6 +182,6 @@ def linear_mean(jacobian: Floats, white: Floats, residual: Floats) -> Floats:
 
 
 def gain(jacobian: Floats, residual: Floats, white: Floats, step: Floats) -> float:
-    """By how much J falls along `step` [W] where the numbers are linear."""
+    """Decrease of J along `step` [W] if the numbers are linear."""
     after, moved = residual + jacobian @ step, white + step
     return float(0.5 * (residual @ residual + white @ white - after @ after - moved @ moved))

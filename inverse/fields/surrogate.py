@@ -1,7 +1,7 @@
 """The learned surrogate as a function of white numbers, with its gradient: the flow that leads a search for fields.
 
 A field enters its initial state as it enters the MPM's scene: a thickness moves particles up and down in proportion and
-scales their volumes, the friction of a terrain stands at the places of its raster.
+scales their volumes; the friction of a terrain is given at the posts of its raster.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,15 +33,15 @@ from inverse.problem import Problem
 from inverse.settings import Surrogate
 
 Enter = Callable[[InitialState, Tensor], InitialState]
-"""An initial state and the values [K] of a field -> the state with them, differentiable in them."""
+"""An initial state and the values [K] of a field -> the state with these values, differentiable in them."""
 UP = 1
 
 
 class SurrogateFlow(WhiteFlow):
-    """Rollouts at white numbers. Raises InputError for a scene that no surrogate represents."""
+    """Rollouts at white numbers. Raises InputError for a scene that no surrogate supports."""
 
     def __init__(self, problem: Problem, observation: Observation, model: StepModel, band: Band) -> None:
-        # A twin's truth stays out of it.
+        # The scene must not contain a twin's truth.
         problem = replace(problem, scene=problem.scene_at(problem.initial))
         super().__init__(problem, observation)
         self.forward = GnsForward(model, problem, observation, band)
@@ -98,12 +98,12 @@ class SurrogateFlow(WhiteFlow):
         return torch.from_numpy(self.values(white)), [torch.from_numpy(field) for field in self.fields(white)]
 
     def errors(self, white: Floats) -> Floats:
-        """Columns of the covariance of its errors by its band, shape [columns, M]."""
+        """Columns of the covariance of its errors from its band, shape [columns, M]."""
         return self.forward.errors(self.values(white))
 
 
 def entering(unknown: UnknownField, initial: InitialState) -> Enter:
-    """How a field enters an initial state, which has the median of its prior."""
+    """The function that puts a field into an initial state, which has the median of the field's prior."""
     settings, scene, kept = unknown.settings, initial.scene, initial.indices
     if settings.solid is not None:
         return entering_bed(unknown, initial)
@@ -147,7 +147,7 @@ def entering(unknown: UnknownField, initial: InitialState) -> Enter:
 
 
 def entering_bed(unknown: UnknownField, initial: InitialState) -> Enter:
-    """How the friction of a terrain enters the raster of the ground."""
+    """The function that puts the friction of a terrain into the raster of the ground."""
     ground = initial.conditions.ground
     assert ground is not None, "a terrain in 3D"
     top = ground_raster(initial.scene, ground.spacing)[2]
@@ -168,7 +168,7 @@ def entering_bed(unknown: UnknownField, initial: InitialState) -> Enter:
 def leading(problem: Problem, target: Target, model: Path | None = None) -> tuple[WhiteFlow | None, str]:
     """The flow that leads the search for the fields of `problem`, or None, and the reason in words.
 
-    model: weights, the shipped ones where absent. Raises InputError where the problem demands a surrogate that cannot.
+    model: weights, by default the shipped ones. Raises InputError if the problem demands an unsuitable surrogate.
     """
     asked, observation, scene = problem.surrogate, target.observation, problem.scene_at(problem.initial)
     if asked is Surrogate.NONE:
@@ -186,7 +186,7 @@ def leading(problem: Problem, target: Target, model: Path | None = None) -> tupl
     if not (observation.of_positions or all(part.observation.dense for part in observation.parts)):
         lacks = f"it does not predict {observation.label}"
     reason = lacks or unfamiliar(weights, simulator.settings, scene)
-    # Out of its range it leads where it is asked to.
+    # Outside its training range it leads only if the problem demands it.
     if reason and (asked is Surrogate.AUTO or lacks):
         if asked is Surrogate.GNS:
             raise InputError(f"expected auto or none, {reason}", key="surrogate")

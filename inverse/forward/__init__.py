@@ -17,13 +17,13 @@ class Forward(Protocol):
     """Predicts the observation at given parameters."""
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
-        """The observation [m] at each vector of parameters [U]; runs may be side by side."""
+        """The observation [m] at each vector of parameters [U]; runs may be parallel."""
 
     def select(self, target: Values, /) -> Values:
-        """The part of exact numbers [M] that it predicts, shape [m]."""
+        """The part of exact numbers [M] that this model predicts, shape [m]."""
 
     def errors(self, parameters: Vector, /) -> Matrix:
-        """Its errors at parameters [U] by its band: columns e_k of their covariance, shape [K, m]."""
+        """Errors at parameters [U] from its band: columns e_k of their covariance, shape [K, m]."""
 
 
 @runtime_checkable
@@ -35,7 +35,7 @@ class Differentiable(Forward, Protocol):
 
 
 class Simulate(Protocol):
-    """The MPM, or what stands for it."""
+    """The MPM, or a replacement."""
 
     def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
-        """The trajectories of scenes that run side by side, with what `record` asks for."""
+        """The trajectories of scenes, which run in parallel, with the quantities that `record` requests."""

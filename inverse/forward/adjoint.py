@@ -1,4 +1,4 @@
-"""The MPM as a differentiable forward model, by its own adjoint: a layer of PyTorch.
+"""The MPM as a differentiable forward model with its own adjoint: a PyTorch layer.
 
 The forward pass is a run of the solver with checkpoints, the backward pass `mpm.adjoint`: no graph of steps is built,
 and memory stays within `memory_mib`.
@@ -26,21 +26,21 @@ from mpm.adjoint.tape import FlowAdjoints, Tape, steady
 
 
 class AdjointFlow(NamedTuple):
-    """What a run is observed by, at T frames."""
+    """The observable quantities of a run, at T frames."""
 
     positions: Tensor
-    """Of the particles [m], shape [T, N, D]."""
+    """Positions of the particles [m], shape [T, N, D]."""
     velocities: Tensor
-    """[m/s], shape [T, N, D]."""
+    """Velocities of the particles [m/s], shape [T, N, D]."""
     impulses: Tensor
-    """Momentum that each solid has taken since the start [N s], in 2D per metre of width, shape [T, solids, D]."""
+    """Impulse on each solid since the start [N s], in 2D per metre of width, shape [T, solids, D]."""
 
 
 class AdjointRun:
-    """A run as a function of parameters of its scene (`inverse.parameters`), with checkpoints.
+    """A run as a function of its scene's parameters (`inverse.parameters`), with checkpoints.
 
-    frames: those that it returns, the last unless given. Options and errors as `mpm.adjoint.tape.Tape`, in single
-    precision unless asked otherwise. Steps are those of which there is a derivative (`mpm.adjoint.tape.steady`).
+    frames: the returned frames, by default the last. Options and errors as in `mpm.adjoint.tape.Tape`, by default in
+    single precision. Only differentiable steps are used (`mpm.adjoint.tape.steady`).
     """
 
     def __init__(
@@ -53,17 +53,17 @@ class AdjointRun:
             parameter.check(scene)
 
     def __call__(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
-        """Positions [m] and velocities [m/s] of the particles at the frames, shape [T, N, D], of parameters [U]."""
+        """Positions [m] and velocities [m/s] of the particles at the frames, shape [T, N, D], for parameters [U]."""
         flow = self.flow(parameters)
         return flow.positions, flow.velocities
 
     def flow(self, parameters: Tensor) -> AdjointFlow:
-        """All that is observed at the frames, of parameters [U]."""
+        """All observable quantities at the frames, for parameters [U]."""
         (flow,) = self.flows(parameters, [self.scene.seed])
         return flow
 
     def flows(self, parameters: Tensor, seeds: Sequence[int]) -> list[AdjointFlow]:
-        """The same for several jitter seeds, side by side: a mean over seeds is smoother in the parameters."""
+        """The same for several jitter seeds in parallel: a mean over seeds is smoother in the parameters."""
         values = parameters.detach().numpy().astype(np.float64)
         scene = steady(with_kinds(self.scene, self.kinds, values))
 
@@ -84,7 +84,7 @@ def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector, scene
         if isinstance(parameter, Velocity):
             slopes[index] = by_mass[parameter.index, parameter.axis]
             continue
-        # What one body or solid has changes nothing else; a constant that bodies share enters those with others, too.
+        # A number of one body or solid changes nothing else; a shared constant also affects bodies with own constants.
         body = parameter.group, parameter.index
         siblings = [n for n, other in enumerate(kinds) if (other.group, other.index) == body]
         base, moved = (run, siblings) if parameter.group else (given, list(range(len(kinds))))
@@ -97,7 +97,7 @@ def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector, scene
 
 
 class _Flow(torch.autograd.Function):
-    """What a tape has observed, three tensors of each scene; backwards its vector-Jacobian product."""
+    """The observed quantities of a tape, three tensors for each scene; backwards, its vector-Jacobian product."""
 
     @staticmethod
     def forward(ctx: Any, tape: Tape, slopes: Callable[[Gradient], Tensor], parameters: Tensor) -> tuple[Tensor, ...]:
@@ -109,7 +109,7 @@ class _Flow(torch.autograd.Function):
     def backward(ctx: Any, *adjoints: Tensor) -> tuple[Any, ...]:
         given = [adjoint.detach().numpy().astype(np.float64) for adjoint in adjoints]
         positions, velocities, impulses = given[::3], given[1::3], given[2::3]
-        # Most objectives depend on no force, and pay for none.
+        # Most objectives depend on no force, and then forces cost nothing.
         forces: list[Any] = impulses if any(impulse.any() for impulse in impulses) else [None] * len(impulses)
         flows = map(FlowAdjoints, positions, velocities, forces)
         (gradients,) = pull_back_all(ctx.tape, [list(flows)])

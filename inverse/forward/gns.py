@@ -1,14 +1,14 @@
 """The learned simulator as a forward model: from the scene to the deposit, differentiably, many scenes in one batch.
 
-Its error in any observation is its deposit moved within its band, observed, less the deposit observed.
+Its error in an observation is the observation of its deposit, moved within its band, minus that of its deposit.
 
-A card says how far fronts and profiles of held-out flows are off, as shares b_f and b_p of a flow's extent L (95 %).
-With s = (x - rear) / L, across the flow s = (z - middle) / width, its positions are moved along this axis by
+A model card gives the errors of fronts and profiles of held-out flows as shares b_f and b_p of the extent L (95 %).
+With s = (x - rear) / L, across the flow s = (z - middle) / width, positions are moved along this axis by
 
     b_f L / 1.96 s    and    b_p L / 1.96 sin(k pi s) / sqrt(K),  k = 1 .. K
 
-one displacement after the other, over time in proportion to it. What each changes of the numbers is a column e_k of
-their covariance, sum_k e_k e_k^T.
+one displacement after the other, in proportion to time. The change of the numbers by each displacement is a column e_k
+of their covariance, sum_k e_k e_k^T.
 """
 
 import math
@@ -37,19 +37,19 @@ from inverse.problem import Problem
 from mpm.footprint import SPEED
 from mpm.resolution import particle_steps
 
-MEMORY_GIB = 2.0  # activations that the backward pass may find ready, instead of computing them again [GiB]
-NODES = 4_000  # particles of a batch without gradients, at most: more of them are no cheaper each
+MEMORY_GIB = 2.0  # activations stored for the backward pass instead of being recomputed [GiB]
+NODES = 4_000  # most particles in a batch without gradients: larger batches are no cheaper per particle
 WAVES = 3  # K
 NORMAL = 1.96  # half of a 95 % interval over the standard deviation
 PREDICTIONS = 5.0
-"""Predictions that a run of the MPM costs, from which on a surrogate is asked: it predicts two to five times for each
-run that it saves."""
+"""Cost of an MPM run, in predictions, above which a surrogate is used: it predicts two to five times for each run that
+it saves."""
 Flow = tuple[Tensor, InitialState]  # positions [m] at the times of an initial state, shape [T, n, D], and this state
 
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """How far 95 of 100 deposits of the MPM are at most from those of a surrogate, over their extent [-]."""
+    """Largest error of a surrogate's deposit in 95 of 100 flows of the MPM, over its extent [-]."""
 
     front: float = 0.05  # b_f
     profile: float = 0.03  # b_p
@@ -70,10 +70,10 @@ class Band:
 
 
 class GnsForward:
-    """A rollout of the surrogate that is a differentiable function of the problem's parameters, in SI units.
+    """A rollout of the surrogate as a differentiable function of the problem's parameters, in SI units.
 
-    Unknowns that change the particles (thickness of a layer) are no inputs: each flow then begins with an initial state
-    of its own, one after the other, which has no derivative in them. One thread of torch computes all.
+    Unknowns that change the particles (thickness of a layer) are no inputs: each flow then has its own initial state,
+    without a derivative, and flows run one after the other. A single torch thread computes everything.
     """
 
     def __init__(
@@ -84,9 +84,9 @@ class GnsForward:
         band: Band | None = None,
         flows: dict[bytes, Flow] | None = None,
     ) -> None:
-        """The weights are frozen, which makes the backward pass much cheaper. band: its errors, the default if absent.
+        """The weights are frozen, which makes the backward pass much cheaper. band: its errors. flows: parameters ->
 
-        flows: predicted ones by their parameters, which observations of one scene may share. Raises InputError.
+        predicted flow, which observations of one scene may share. Raises InputError.
         """
         self.simulator = checked(simulator).requires_grad_(False)
         self.problem, self.observation, self.kinds, self.band = problem, observation, problem.kinds, band or Band()
@@ -100,7 +100,7 @@ class GnsForward:
     def predict(self, parameters: Tensor, /) -> Tensor:
         """The smooth observation, float64 of shape [m] or [S, m], of parameters, float64 of shape [U] or [S, U].
 
-        Of several vectors all scenes lie side by side in one graph: a backward pass gives the gradients of all.
+        The scenes of several vectors form one graph, so that one backward pass gives all gradients.
         """
         if parameters.dim() == 1:
             return self.predict(parameters.unsqueeze(0))[0]
@@ -118,10 +118,10 @@ class GnsForward:
             return [self.observed(*self.flows[vector.tobytes()]).numpy() for vector in parameters]
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
-        """Errors of the numbers at parameters [U] by the band, shape [K, m].
+        """Errors of the numbers at parameters [U] from the band, shape [K, m].
 
-        Of the numbers of single particles each has one of its own as well: between independent errors as large as that
-        of a profile, and one of all together of M^(1/2) times the effect.
+        Each number of a single particle also has its own error, between independent errors as large as that of a
+        profile and one common error with M^(1/2) times the effect.
         """
         with torch.no_grad():
             start = self.entered(torch.from_numpy(parameters))
@@ -141,7 +141,7 @@ class GnsForward:
             return self.unrolled([self.entered(torch.from_numpy(parameters))])[-1].numpy()
 
     def select(self, target: Values, /) -> Values:
-        """The part of an exact `target` [M] that is of the particles followed here, shape [m]."""
+        """The part of an exact `target` [M] that belongs to the particles followed here, shape [m]."""
         return self.observation.of_particles(target, self.indices)
 
     def entered(self, parameters: Tensor) -> InitialState:
@@ -161,12 +161,12 @@ class GnsForward:
         return initial_state(scene, self.simulator.settings).to(dtype=dtype)
 
     def observed(self, path: Tensor, start: InitialState) -> Tensor:
-        """The smooth observation [m] of the positions of one flow [m], shape [T, n, D], from its initial state on."""
+        """The smooth observation [m] of one flow's positions [m], shape [T, n, D], with its initial state."""
         rollout = Rollout(positions=path, times=start.times, volumes=start.conditions.volume)
         return self.observation.predict(rollout)
 
     def _flows(self, parameters: Tensor) -> list[Flow]:
-        """The flow with each of parameters [S, U], all in one batch where their particles are the same."""
+        """The flow for each of parameters [S, U], all in one batch if their particles are the same."""
         starts = [self.entered(vector) for vector in parameters]
         if self.other_particles:
             return [(self.unrolled([start]), start) for start in starts]
@@ -175,7 +175,7 @@ class GnsForward:
         return [(path, self.initial) for path in flows.unbind(1)]
 
     def unrolled(self, starts: Sequence[InitialState]) -> Tensor:
-        """Positions [m] of flows of the same particles side by side, at the times of each, shape [T, flows n, D]."""
+        """Positions [m] of flows with the same particles, in one batch, at the times of each, shape [T, flows n, D]."""
         state, conditions, steps = starts[0].state, starts[0].conditions, starts[0].steps
         if len(starts) > 1:
             state = State.joined([start.state for start in starts])
@@ -185,14 +185,14 @@ class GnsForward:
 
 
 def band_of(weights: Path, scene: Scene) -> Band:
-    """That of the model in the file `weights` for `scene`, by its card; the usual one where it says nothing."""
+    """The band of the model in the file `weights` for `scene`, from its card; the default one without an entry."""
     described = card.read(weights)
     calibration = described.calibration(scene) if described is not None else None
     return Band() if calibration is None else Band(front=calibration.front["0.95"], profile=calibration.profile["0.95"])
 
 
 def require_predicted(problem: Problem) -> None:
-    """Raise InputError, which names the key, for numbers or observations that no surrogate has."""
+    """Raise InputError, which names the key, for numbers or observations that no surrogate supports."""
     for index, parameter in enumerate(problem.parameters):
         if not parameter.kind.predicted:
             message = f"expected an input of the surrogate, {parameter.name} is none"
@@ -204,7 +204,7 @@ def require_predicted(problem: Problem) -> None:
 
 
 def unfamiliar(weights: Path, settings: ModelSettings, scene: Scene) -> str:
-    """What of a scene the model in the file `weights` was not trained on, in words; empty where it knows all."""
+    """The properties of a scene outside the training range of the model `weights`, in words; empty if none are."""
     described = card.read(weights)
     strange = outside(scene, described.ranges) if described is not None else []
     try:
@@ -215,12 +215,12 @@ def unfamiliar(weights: Path, settings: ModelSettings, scene: Scene) -> str:
 
 
 def seconds_of_run(scene: Scene) -> float:
-    """What a run of the MPM takes [s]; by no measurement of this machine's, so that it decides the same way again."""
+    """Expected time of an MPM run [s], not measured on this machine, so that the decision is reproducible."""
     return particle_steps(scene) / (SPEED[scene.dimension] * processors())
 
 
 def priced(scene: Scene, predict: Callable[[], object]) -> tuple[bool, str]:
-    """Whether a run of the MPM costs `PREDICTIONS` or more, and what both take, in words; predict: makes one."""
+    """Whether an MPM run costs `PREDICTIONS` or more, and both times in words; predict: makes one prediction."""
     run, began = seconds_of_run(scene), time.perf_counter()
     predict()
     prediction = time.perf_counter() - began

@@ -1,4 +1,4 @@
-"""The MPM as a forward model: exact observations of whole runs, side by side on all cores."""
+"""The MPM as a forward model: exact observations of whole runs, in parallel on all cores."""
 
 from collections.abc import Sequence
 
@@ -13,16 +13,16 @@ from inverse.parameters import Vector
 from inverse.problem import Problem
 from mpm import LAST
 
-PARTICLES = 400  # of a whole deposit, at most: their covariance is a dense matrix
+PARTICLES = 400  # most particles of a whole deposit: their covariance is a dense matrix
 
 
 class MpmForward:
-    """Runs the problem's scene with its own jitter seed; of a whole deposit it follows `PARTICLES`, drawn at random."""
+    """Runs the problem's scene with its own jitter seed; in a whole deposit it follows `PARTICLES` random particles."""
 
     def __init__(
         self, problem: Problem, observation: Observation, simulate: Simulate, *, band: Values | None = None
     ) -> None:
-        """band: standard deviation of each number by the error of its cells, shape [M]; none where absent."""
+        """band: standard deviation of each number due to the error of the cells, shape [M]; default: none."""
         self.band = band
         self.problem, self.observation, self.simulate = problem, observation, simulate
         self.indices = np.arange(particle_count(problem.scene) if observation.every_particle else 0)
@@ -37,7 +37,7 @@ class MpmForward:
         return [self.select(self.observation.observe(flow)) for flow in flows]
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
-        """Columns of the covariance of its errors at parameters [U], those of its band: shape [K, m]."""
+        """Columns of the covariance of its errors at parameters [U], from its band: shape [K, m]."""
         return np.zeros((0, 1)) if self.band is None else np.diag(self.select(self.band))
 
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
@@ -46,5 +46,5 @@ class MpmForward:
         return np.asarray(trajectory.positions[-1])
 
     def select(self, target: Values, /) -> Values:
-        """The part of an exact `target` [M] that is of the particles followed here, shape [m]."""
+        """The part of an exact `target` [M] that belongs to the particles followed here, shape [m]."""
         return self.observation.of_particles(target, self.indices)

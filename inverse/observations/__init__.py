@@ -1,4 +1,4 @@
-"""Observation operators: what is measured of a flow.
+"""Observation operators: the quantities measured in a flow.
 
 >>> from inverse.observations import FrontSettings
 >>> front = FrontSettings(noise="1%").operator(scene)
@@ -30,4 +30,4 @@ _INSTRUMENTS = (ImpulseSettings, PeakForceSettings, ArrivalSettings, SpeedSettin
 KINDS: dict[str, type[ObservationSettings]] = {
     settings.operator_type.kind: settings for settings in (*_DEPOSIT, *_HEIGHTS, *_INSTRUMENTS)
 }
-"""The settings of every kind of observation by its name in TOML."""
+"""Name of an observation in TOML -> its settings."""

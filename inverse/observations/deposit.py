@@ -1,4 +1,4 @@
-"""Where a flow came to rest: front, runout, toe, the share beyond a line, every particle."""
+"""Observations of a deposit: front, runout, toe, the share beyond a line, every particle."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -38,7 +38,7 @@ class Front(SmoothObservation):
 
 @dataclass(frozen=True, kw_only=True)
 class FrontSettings(SeriesSettings, LengthsSettings):
-    """Of `Front` [m]; the table has time and front."""
+    """Settings of `Front` [m]; the table has time and front."""
 
     operator_type = Front
     places: ClassVar = {"value": 0, "values": 0}
@@ -72,10 +72,10 @@ class RunoutSettings(ObservationSettings):
 
 
 class Toe(Observation):
-    """The centroid of the furthest 10 % of the particles, D numbers; the misfit is the paper's |c - c_target|^2.
+    """The centroid of the furthest 10 % of the particles, D numbers; the misfit is |c - c_target|^2, as in the paper.
 
-    Smoothly, a particle at x belongs to them by 1 / (1 + exp((t - x) / width)), the width half a cell, with the t at
-    which the volume of all that belong is a tenth: a soft rank, by which the share of a particle that falls back goes
+    In the smooth form, a particle at x has the weight 1 / (1 + exp((t - x) / width)), with a width of half a cell and
+    the t for which the weighted volume is a tenth: a soft rank, in which the weight of a particle that falls back goes
     to the others.
     """
 
@@ -101,7 +101,7 @@ class Toe(Observation):
 
         root = scipy.optimize.brentq(surplus, low, high, xtol=1e-14, rtol=1e-14)
         belongs = torch.sigmoid((x - root) / self.width)
-        # A step of Newton's at the root changes its value by rounding alone and gives it its gradient.
+        # A Newton step at the root changes its value only by rounding, and gives it its gradient.
         slope = (weights @ (belongs * (1.0 - belongs)).detach()) / self.width
         threshold = root + (share @ belongs - measures.TOE_FRACTION) / slope
         weight = share * torch.sigmoid((x - threshold) / self.width)
@@ -117,7 +117,7 @@ class ToeSettings(ObservationSettings):
 
 
 class Passed(Observation):
-    """Share of the volume beyond x = `line` [m]; a particle counts smoothly as 1 / (1 + exp((line - x) / width))."""
+    """Share of the volume beyond x = `line` [m]; smooth weight of a particle: 1 / (1 + exp((line - x) / width))."""
 
     kind = "passed"
     label = "the share of the material that came to rest beyond the line"
@@ -151,14 +151,14 @@ class PassedSettings(ObservationSettings):
     value: float | None = None  # a share [-]
     line: float  # the x beyond which a particle has passed [m]
     width: float | None = None
-    """Length over which the share is smoothed for gradients [m]; a cell of the scene where absent."""
+    """Length over which the share is smoothed for gradients [m]; default: a cell of the scene."""
 
     operator_type = Passed
     places: ClassVar = {"line": 0}
 
 
 class FinalPositions(SmoothObservation):
-    """The final position of every particle followed, N D numbers; the misfit is the paper's mean |p - p_target|^2."""
+    """The final position of every followed particle, N D numbers; misfit as in the paper: mean |p - p_target|^2."""
 
     kind = "deposit"
     label = "the final position of every particle of the deposit"
@@ -180,7 +180,7 @@ class FinalPositions(SmoothObservation):
 
 @dataclass(frozen=True, kw_only=True)
 class DepositSettings(ObservationSettings):
-    """Of `FinalPositions`, whose numbers are those of a twin or a trajectory."""
+    """Settings of `FinalPositions`, whose numbers come from a twin or a trajectory."""
 
     operator_type = FinalPositions
     robust = False

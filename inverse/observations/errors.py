@@ -1,4 +1,4 @@
-"""Errors of measured numbers: what a stated noise means, and their covariance."""
+"""Errors of measured numbers: the stated noise and their covariance."""
 
 import math
 from collections.abc import Sequence
@@ -18,16 +18,16 @@ from datasets.schema import Bounds, Record, fraction, from_mapping
 
 @dataclass(frozen=True, kw_only=True)
 class Student(Record):
-    """Robust noise: Student's t, whose tails hold an outlier that a normal distribution would follow."""
+    """Robust noise: Student's t, whose tails allow an outlier that a normal distribution would fit."""
 
     dof: Annotated[float, Bounds("at least 1 degree of freedom", ge=1.0)] = 4.0
     """Degrees of freedom; the fewer, the more outliers."""
     deviation: float | str
-    """Its scale: the standard deviation of the numbers that are no outliers, as a normal noise is stated."""
+    """Its scale: the standard deviation of the numbers that are no outliers, stated like a normal noise."""
 
 
 def read_noise(given: Any) -> Any:
-    """A noise as it stands in a file. Raises InputError."""
+    """A noise as a file states it. Raises InputError."""
     if isinstance(given, dict):
         kind = given.get("kind")
         require(kind == "student", "kind", "student; a number or a percentage is normal noise", repr(kind))
@@ -38,7 +38,7 @@ def read_noise(given: Any) -> Any:
 
 
 StatedNoise = Annotated[float | str | Student, PlainValidator(read_noise, json_schema_input_type=Any)]
-"""Of each number: a standard deviation in its unit, a percentage such as "3%", or robust noise."""
+"""Noise of each number: a standard deviation in its unit, a percentage such as "3%", or robust noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +46,13 @@ class Noise:
     """A stated noise: the standard deviation of a number y is ((share y)^2 + deviation^2)^(1/2)."""
 
     share: float = 0.0
-    """Of each number [-]."""
+    """Share of each number [-]."""
     deviation: float = 0.0
-    """In the unit of the numbers."""
+    """Absolute part, in the unit of the numbers."""
 
     @classmethod
     def stated(cls, noise: float | str | Student) -> "Noise":
-        """A number, or a percentage such as "3%"; of robust noise its scale. Raises InputError."""
+        """The noise of a number, a percentage such as "3%", or the scale of robust noise. Raises InputError."""
         if isinstance(noise, Student):
             return cls.stated(noise.deviation)
         if isinstance(noise, str):
@@ -70,16 +70,16 @@ class Noise:
 
 @dataclass(frozen=True)
 class Covariance:
-    """Covariance of the errors of M numbers; of independent ones it is no matrix: a whole deposit has thousands."""
+    """Covariance of the errors of M numbers; for independent errors without a matrix: a deposit has thousands."""
 
     deviation: Floats
     """Standard deviation of each number, shape [M]."""
     dependent: Floats | None = None
-    """The whole covariance where errors depend on each other, shape [M, M]."""
+    """The full covariance if errors are dependent, shape [M, M]."""
 
     @staticmethod
     def of(matrix: Floats) -> "Covariance":
-        """That of a matrix [M, M]."""
+        """The covariance of a matrix [M, M]."""
         return Covariance(np.sqrt(np.diag(matrix)), matrix)
 
     @staticmethod
@@ -92,16 +92,16 @@ class Covariance:
 
     @staticmethod
     def joined(parts: Sequence["Covariance"]) -> "Covariance":
-        """That of the numbers of all parts, one after the other; errors of two parts are independent."""
+        """The covariance of the numbers of all parts in a row; errors of different parts are independent."""
         return Covariance(np.concatenate([part.deviation for part in parts]), block_diag(*(e.matrix for e in parts)))
 
     @property
     def matrix(self) -> Floats:
-        """Shape [M, M]."""
+        """The covariance matrix, shape [M, M]."""
         return np.diag(self.deviation**2) if self.dependent is None else self.dependent
 
     def over(self, scale: Floats) -> "Covariance":
-        """That of the numbers over `scale` [M]."""
+        """The covariance of the numbers divided by `scale` [M]."""
         matrix = None if self.dependent is None else self.dependent / np.outer(scale, scale)
         return Covariance(self.deviation / scale, matrix)
 
@@ -116,7 +116,7 @@ class Covariance:
         return np.asarray(combinations.T @ self.dependent @ combinations)
 
     def drawn(self, rng: np.random.Generator) -> Floats:
-        """Errors at random, shape [M]."""
+        """Random errors, shape [M]."""
         if self.dependent is None:
             return np.asarray(self.deviation * rng.standard_normal(len(self.deviation)))
         variances, axes = np.linalg.eigh(self.dependent)

@@ -1,4 +1,4 @@
-"""What instruments record: heights at gauges, the impulse on a solid, in the end or over time, and its peak force."""
+"""Records of instruments: heights and pore pressures at gauges, the impulse on a solid, and its peak force."""
 
 import math
 from collections.abc import Sequence
@@ -23,17 +23,17 @@ from inverse.observations.observation import Rollout, SmoothObservation, Values,
 from inverse.observations.settings import LengthsSettings, ObservationSettings, SeriesSettings
 
 AROUND, LEAST, FLAT = 2.0, 0.05, 1.0e-3
-"""Half width over which a gauge takes a pressure [cells], share of it that is filled below which it is no flow, and
-variance of heights over the square of that width that does not count as a slope."""
+"""Half width over which a gauge averages pressure [cells]; filled share of it below which there is no flow; variance of
+heights over the square of that width below which no slope is fitted."""
 
 
 class Gauges(SmoothObservation):
-    """The height at gauges, in the end or each at a time of its own: M numbers.
+    """The height at gauges, at the end or each at its own time: M numbers.
 
     h_g = sum_i V_i w(x_i - x_g) / int w dx,    w(s) = max(0, 1 - |s| / spacing)
 
-    with V the volumes of the particles: at its initial density, as a profile. In 3D w is also of z where that is given;
-    else the height is the mean across the flow.
+    with V the volumes of the particles: like a profile, the height is at the initial density. In 3D, w also depends on
+    z if z is given; else the height is the mean across the flow.
     """
 
     kind = "height"
@@ -48,7 +48,7 @@ class Gauges(SmoothObservation):
         self.z, self.spacing, self.count = settings.z, settings.spacing, len(self.x)
         inside = (z := settings.z) is None or (scene.dimension == 3 and 0.0 <= z <= scene.domain.size[2])
         require(inside, "z", "a z inside a box in 3D", z)
-        # Above or below its datum a gauge at dry ground errs by little; heights in another unit lie beyond the box.
+        # A gauge on dry ground may read slightly below its datum; heights in another unit lie beyond the box.
         self.limits = (-scene.domain.size[1], scene.domain.size[1])
         self.area = hat_area(self.x, self.spacing, scene.domain.size[0])
         if scene.dimension == 3:
@@ -74,12 +74,12 @@ class Gauges(SmoothObservation):
 
 @dataclass(frozen=True, kw_only=True)
 class GaugesSettings(LengthsSettings):
-    """Of `Gauges`; the table has x, height and maybe time."""
+    """Settings of `Gauges`; the table has x, height and optionally time."""
 
     values: tuple[float, ...] | None = None  # a height [m] for each of `x`, or for each of these at each of `times`
-    x: tuple[float, ...] | None = None  # of the gauges [m], where they are not in a table
-    z: float | None = None  # of the gauges in 3D [m]; where absent they take the mean across the flow
-    times: tuple[float, ...] | None = None  # when [s] after the start; where absent, in the end
+    x: tuple[float, ...] | None = None  # of the gauges [m], if they are not in a table
+    z: float | None = None  # of the gauges in 3D [m]; default: they take the mean across the flow
+    times: tuple[float, ...] | None = None  # times [s] after the start; default: the end
     spacing: Length = 0.02  # half width over which a gauge takes the mean height [m]
     datum: float = 0.0  # height of the floor in a table [`unit`]
 
@@ -116,12 +116,12 @@ class Impulse(SmoothObservation):
         return numbers
 
     def of_series(self, impulses: Any, time: Values) -> Any:
-        """The numbers [M] of all impulses [T, solids, D] over `time` [s]. Raises InputError where there is none."""
+        """The numbers [M] from all impulses [T, solids, D] over `time` [s]. Raises InputError if there are none."""
         impulse = self.recorded(impulses)
         return impulse[-1:] if self.times is None else at_times(lambda value: value, impulse, time, self.times)
 
     def recorded(self, impulses: Any) -> Any:
-        """That on the solid [T], of all impulses [T, solids, D]. Raises InputError where there is none."""
+        """The impulse on the solid [T], from all impulses [T, solids, D]. Raises InputError if there are none."""
         if impulses is None or self.solid >= impulses.shape[1]:
             raise InputError(f"expected a run that recorded the impulse on solid {self.solid}, it did not")
         return impulses[:, self.solid, self.axis]
@@ -129,7 +129,7 @@ class Impulse(SmoothObservation):
 
 @dataclass(frozen=True, kw_only=True)
 class ImpulseSettings(SeriesSettings):
-    """Of `Impulse` [N s], in 2D per metre of width; the table has time and impulse."""
+    """Settings of `Impulse` [N s], in 2D per metre of width; the table has time and impulse."""
 
     solid: int | str = 0  # which solid, by its name or its number: the baffles, from 0, then the other solids
     axis: int = 0  # along which axis of the scene: 0 for x, 1 for y, 2 for z
@@ -139,11 +139,11 @@ class ImpulseSettings(SeriesSettings):
 
 
 class PeakForce(Impulse):
-    """The largest mean force on a solid along an axis, either way, over any time as long as `window` [s].
+    """The largest mean force on a solid along an axis, in either direction, over any period of length `window` [s].
 
         F = max over t of |J(t + window) - J(t)| / window,    J: the recorded impulse, linear between frames
 
-    The difference is linear between the times at which t or t + window is a frame: one of these is the maximum.
+    The difference is linear between the times at which t or t + window is a frame, so its maximum is at one of them.
     """
 
     kind = "peak-force"
@@ -178,13 +178,13 @@ class PeakForceSettings(ObservationSettings):
 
 
 class PorePressure(SmoothObservation):
-    """The pressure of the water in pores at gauges over time [Pa], each gauge at every time: M numbers.
+    """The pore water pressure at gauges over time [Pa], each gauge at every time: M numbers.
 
         p_g = share (p - b (y - y_g))_+,   share = min(1, sum_i w_i V_i / V_0)
 
-    p and y are means over the particles around a gauge, of the weights w_i V_i with w a product of hats along the axes
-    as that of `Gauges`, and b the slope of their regression line of p over y: a gauge on the ground reads the pressure
-    there. V_0 is a twentieth of what fills these hats: where the flow is not, there is no pressure.
+    p and y are means over the particles around a gauge with the weights w_i V_i, where w is a product of hat functions
+    along the axes as in `Gauges`. b is the slope of the regression of p over y, so that a gauge on the ground reads the
+    pressure there. V_0 is a twentieth of the volume that fills the hats: without flow there is no pressure.
     """
 
     kind = "pore-pressure"
@@ -237,7 +237,7 @@ class PorePressure(SmoothObservation):
         return numbers
 
     def at(self, volumes: Tensor, state: Tensor) -> Tensor:
-        """At every place of a gauge, shape [G], of positions and p of the particles [N, D + 1]."""
+        """The pressure at each gauge, shape [G], from positions and p of the particles [N, D + 1]."""
         places, p = state[:, :-1], state[:, -1]
         apart = (places[:, None] - torch.from_numpy(self.gauges)) / self.spacing
         weight = (1.0 - apart.abs()).clamp(min=0.0).prod(dim=2) * volumes.double()[:, None]
@@ -251,14 +251,14 @@ class PorePressure(SmoothObservation):
 
 @dataclass(frozen=True, kw_only=True)
 class PorePressureSettings(LengthsSettings):
-    """Of `PorePressure`; the table has time and pressure, and of several gauges x, maybe y and z."""
+    """Settings of `PorePressure`; the table has time and pressure, for several gauges also x, optionally y and z."""
 
     values: tuple[float, ...] | None = None  # one [Pa] for each gauge at each of `times`, one gauge after the other
     x: tuple[float, ...] | None = None  # of the gauges [m]
-    y: tuple[float, ...] | None = None  # their elevations [m]; where absent they stand on the ground
+    y: tuple[float, ...] | None = None  # their elevations [m]; default: on the ground
     z: tuple[float, ...] | None = None  # in 3D [m]
-    times: tuple[float, ...] | None = None  # when [s] after the start
-    spacing: Length | None = None  # half width over which a gauge takes the mean [m]; two cells where absent
+    times: tuple[float, ...] | None = None  # times [s] after the start
+    spacing: Length | None = None  # half width over which a gauge takes the mean [m]; default: two cells
 
     operator_type = PorePressure
     places: ClassVar = {"x": 0, "y": 1, "z": 2}
@@ -269,7 +269,7 @@ class PorePressureSettings(LengthsSettings):
 def read_at(gauges: Floats, times: Values, count: int | None) -> tuple[Floats, Values]:
     """Gauges [G, ...] and times [s]: one for each, or every gauge at every time, one gauge after the other.
 
-    As many gauges as times are the first, unless there is a number for each gauge at each time; count: of the numbers.
+    Equal numbers of gauges and times are read as pairs, unless `count`, the number of values, needs all combinations.
     """
     if len(times) == len(gauges) and count != len(gauges) * len(times):
         return gauges, times
@@ -277,6 +277,6 @@ def read_at(gauges: Floats, times: Values, count: int | None) -> tuple[Floats, V
 
 
 def hat_area(x: Values, spacing: float, length: float) -> Values:
-    """int w of `Gauges` at `x` [m] between the walls 0 and `length` [m], shape as `x`."""
+    """The integral of w of `Gauges` at `x` [m] between the walls 0 and `length` [m], shape as `x`."""
     cut = [0.5 * np.maximum(0.0, spacing - room) ** 2 / spacing for room in (x, length - x)]
     return np.asarray(spacing - cut[0] - cut[1])

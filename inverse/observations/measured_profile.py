@@ -1,10 +1,10 @@
-"""Measured profiles: rows x and height, made heights above the floor and compared with what was released.
+"""Measured profiles: rows of x and height, converted to heights above the floor and checked against the release.
 
     h = (height - datum) in metres;    |1 - A / A0| within a bound,  A = int h dx,  A0 = released volume over the width
 
-What the rows leave open at their ends is extrapolated linearly over at most two distances of rows, else asked for. A
-profile may end at a solid: what lies beyond that does not count then. In a gap, empty rows, both it and the model are
-linear; the area that it takes off or adds is not compared.
+A profile that stops before its end is extrapolated linearly over at most two row distances; a longer rest is an error.
+It may end at a solid: material beyond does not count then. In a gap of empty rows, the profile and the model are both
+linear, and the area that this removes or adds is not compared.
 """
 
 import math
@@ -24,22 +24,22 @@ from inverse.observations.errors import Noise
 
 
 class Heights(StrEnum):
-    """What the heights of a measured profile are."""
+    """The meaning of the heights of a measured profile."""
 
     EQUIVALENT = "equivalent"  # of the released volume at its initial density, over the length and the width
-    SURFACE = "surface"  # of the deposit's surface above the ground, which may be looser than what was released
+    SURFACE = "surface"  # of the deposit's surface above the ground; the deposit may be looser than the release
     ELEVATION = "elevation"
-    """Of the deposit's surface above the datum, over terrain: the ground beneath it is taken off (2D)."""
+    """Of the deposit's surface above the datum, over terrain: the ground beneath it is subtracted (2D)."""
 
 
 EDGE = 0.01  # height over the largest, below which a deposit has ended
-FURTHEST = 2.0  # distances of the last two rows over which a profile is extrapolated
-ALONG = 4  # rows whose slope is that of an extrapolation: of two it would be their noise
+FURTHEST = 2.0  # largest extrapolation of a profile, in distances of the last two rows
+ALONG = 4  # rows that give the slope of an extrapolation: with two, noise would dominate
 BELOW = 0.05  # height over the largest, by which noise may put a row beneath the floor; it counts as 0
-RARE = 0.05  # a roughness that the stated noise exceeds less often than this is not the stated noise alone
-MINIMUM_FREEDOM = 4  # fewer rows than twice as many say nothing of a roughness: the shape of the profile is in it too
+RARE = 0.05  # a roughness that chance exceeds less often than this is more than the stated noise
+MINIMUM_FREEDOM = 4  # fewer rows than twice this give no roughness, because the profile's shape contributes to it
 AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25), Heights.ELEVATION: (0.9, 1.25)}
-"""Of a profile over the released one: sand of a porosity of 0.38 that comes to rest at 0.45 takes an eighth more."""
+"""Area of a profile over the released one: sand of porosity 0.38 that comes to rest at 0.45 takes an eighth more."""
 
 
 def require_inside(x: Floats, length: float) -> Floats:
@@ -47,39 +47,39 @@ def require_inside(x: Floats, length: float) -> Floats:
     slack = 1e-9 * length
     outside = x[(x < -slack) | (x > length + slack)]
     if len(outside):
-        got = f"got {outside[-1]:g} m; unit says in what unit the file is"
+        got = f"got {outside[-1]:g} m; check `unit`, the unit of the file"
         raise InputError(f"expected x between the walls, 0 and {length:g} m, {got}")
     return x
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredProfile:
-    """Heights above the floor at ascending x, from the edge of the deposit, or a wall, to the other."""
+    """Heights above the floor at ascending x, from one edge of the deposit, or wall, to the other."""
 
     x: Floats  # [m], shape [R]
     height: Floats  # [m], shape [R]
     gaps: NDArray[np.bool_] | None = None
-    """Between which rows and the next ones others are missing, shape [R - 1]; none where absent."""
+    """Whether rows are missing between each row and the next one, shape [R - 1]; default: nowhere."""
     ends: tuple[float, float] | None = None
-    """The walls or solids [m] between which it lies; those of the box where absent."""
+    """The walls or solids [m] between which the profile lies; default: the walls of the box."""
 
     def at(self, stations: Floats) -> Floats:
         """Heights [m] at `stations` [m], linear in between, 0 beyond; shape [S]."""
         return np.asarray(np.interp(stations, self.x, self.height, left=0.0, right=0.0))
 
     def deviation(self, noise: Noise) -> Floats:
-        """Of each height [m], shape [R]; 0 where the ground is bare on both sides."""
+        """Standard deviation of each height [m], shape [R]; 0 where the ground is bare on both sides."""
         covered = self.height > 0.0
         edge = np.concatenate([[False], covered[:-1]]) | np.concatenate([covered[1:], [False]])
         return np.asarray(np.where(covered | edge, noise.of(self.height), 0.0))
 
     def roughness(self, deviation: Floats) -> float:
-        """How many times `deviation` [m], shape [R], the heights scatter about the line through their neighbours; >= 1.
+        """Scatter of the heights about the line through their neighbours, over `deviation` [m], shape [R]; at least 1.
 
         e_i = h_i - (b h_(i-1) + a h_(i+1)) / (a + b), a and b the distances to them: the pseudo-residuals of Gasser,
         Sroka & Jennen-Steinmetz (Residual variance and residual pattern in nonlinear regression, Biometrika 73 (1986)
-        625-633), without a model. Only what chance explains less often than `RARE` counts: their sum of squares
-        has half as many degrees of freedom as a sum of independent ones, roughly.
+        625-633), without a model. Only a scatter that chance exceeds less often than `RARE` counts; their sum of
+        squares has roughly half as many degrees of freedom as a sum of independent ones.
         """
         if len(self.x) < 3:
             return 1.0
@@ -87,7 +87,7 @@ class MeasuredProfile:
         left, right = after / (before + after), before / (before + after)
         residual = self.height[1:-1] - left * self.height[:-2] - right * self.height[2:]
         variance = deviation[1:-1] ** 2 + (left * deviation[:-2]) ** 2 + (right * deviation[2:]) ** 2
-        # Where the ground is bare on both sides nothing scatters.
+        # Rows of bare ground on both sides do not scatter.
         scattering = (self.height[1:-1] > 0.0) & (variance > 0.0)
         if self.gaps is not None:
             scattering &= ~(self.gaps[1:] | self.gaps[:-1])
@@ -101,10 +101,10 @@ class MeasuredProfile:
 def checked_profile(
     x: Floats, height: Floats, scene: Scene, heights: Heights, released: float | None
 ) -> MeasuredProfile:
-    """The profile of rows [m], both of shape [R]; its area is compared with the released one where that is known.
+    """The profile of rows [m], both of shape [R]; its area is compared with the released one if that is known.
 
-    Of one that has gaps, NaN, or ends at a solid, the area that is known may be smaller. Raises InputError for rows
-    that are no profile, lie outside of the box, end within the deposit or hold another area.
+    With gaps (NaN) or an end at a solid, the known area may be smaller. Raises InputError for rows that form no
+    profile, lie outside the box, end within the deposit or have another area.
     """
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(height))
     require(len(rows) > 1, "", "at least two rows with an x and a height", len(rows))
@@ -126,15 +126,15 @@ def checked_profile(
         low, high = AREA[heights]
         low = low if profile.gaps is None and profile.ends is None else 0.0
         expected = f"{low:g} to {high:g} times the area that was released, {released:.4g} m^2, for {heights} heights"
-        got = f"{area:.4g} m^2, {area / released:.3g} times; unit, datum and heights say what stands in the file"
+        got = f"{area:.4g} m^2, {area / released:.3g} times; check unit, datum and heights"
         require(low * released <= area <= high * released, "", expected, got)
     return profile
 
 
 def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> MeasuredProfile:
-    """The profile from a wall, a solid or the deposit's edge to the other. Raises InputError where they are too far.
+    """The profile from one wall, solid or edge of the deposit to the other. Raises InputError if they are too far.
 
-    An end at which the deposit goes on is extrapolated along its last rows, towards larger x only downwards.
+    If the deposit continues at an end, it is extrapolated along its last rows, towards larger x only downwards.
     """
     rows, open_rows, ends = [*zip(x, height, strict=True)], gaps.tolist(), [0.0, scene.domain.size[0]]
     solids = faces(scene)
@@ -143,7 +143,7 @@ def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> 
         last_x, last = inwards[0], heights[0]
         if last <= EDGE * height.max():
             continue
-        # The nearest face that looks at the end.
+        # The nearest face opposite the end.
         reached = [span[1 - number] for span in solids if side * (last_x - span[1 - number]) >= -1e-6]
         face = side * max(side * place for place in (*reached, wall))
         gap = side * (last_x - face)
@@ -169,7 +169,7 @@ def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> 
 
 
 def faces(scene: Scene) -> list[tuple[float, float]]:
-    """Between which two x each baffle or solid but terrain stands [m]."""
+    """The smallest and largest x of each baffle and each solid other than terrain [m]."""
     standing = [pair for pair in zip(*solids_of(scene), strict=True) if pair[0].kind != "terrain"]
     rows = [closed_body(solid, key, scene.domain).vertices[:, 0] for solid, key in standing]
     return [(float(x.min()), float(x.max())) for x in rows]

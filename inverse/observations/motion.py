@@ -1,4 +1,4 @@
-"""What a camera or a radar records of a moving flow: when it arrives at a place, and how fast it moves there."""
+"""Records of a camera or a radar of a moving flow: its arrival at a place, and its speed there."""
 
 import math
 from dataclasses import dataclass
@@ -18,18 +18,18 @@ from inverse.observations.observation import Rollout, SmoothObservation, Values,
 from inverse.observations.settings import LengthsSettings, SeriesSettings
 
 LAYER = 0.5
-"""Of a layer of particles. Where less material than this is at the place, its speed counts in proportion: a single
+"""Share of a layer of particles. With less material than this at the place, the speed is scaled in proportion: a single
 particle is no flow."""
 
 
 class Arrival(SmoothObservation):
-    """When the flow reaches each of some x: M times [s].
+    """The times at which the flow reaches some x: M times [s].
 
         t = t_k + (L - s_k) / (s_(k+1) - s_k) (t_(k+1) - t_k)    of the first frames with s_k < L <= s_(k+1)
 
-    s is the front and L the x; with a `thickness`, s is the height at the x, as a gauge has it (`Gauges`), and L the
-    thickness. A flow that stops short of L counts as if it went on at its mean rate so far, so that the number changes
-    steadily: t_max (L - s_0) / (s_max - s_0), at most twice the time of the last frame.
+    s is the front and L the x; with a `thickness`, s is the height at the x, as at a gauge (`Gauges`), and L the
+    thickness. A flow that stops short of L is continued at its mean rate so far, so that the number is continuous:
+    t_max (L - s_0) / (s_max - s_0), at most twice the time of the last frame.
     """
 
     kind = "arrival"
@@ -62,7 +62,7 @@ class Arrival(SmoothObservation):
 
 
 def first_passage(series: Tensor, time: Values, level: float) -> Tensor:
-    """When `series` [T] at `time` [s] first reaches `level`, as `Arrival` says; a number."""
+    """The time at which `series` [T] at `time` [s] first reaches `level`, as in `Arrival`."""
     begin, latest = float(time[0]), 2.0 * float(time[-1])
     reached, top = torch.nonzero(series.detach() >= level), int(series.detach().argmax())
     if len(reached) > 0:
@@ -80,12 +80,12 @@ def first_passage(series: Tensor, time: Values, level: float) -> Tensor:
 
 @dataclass(frozen=True, kw_only=True)
 class ArrivalSettings(LengthsSettings):
-    """Of `Arrival`; the table has x and time."""
+    """Settings of `Arrival`; the table has x and time."""
 
     values: tuple[float, ...] | None = None  # a time [s] for each of `x`, after the start
-    x: tuple[float, ...] | None = None  # what the flow reaches [m], where they are not in a table
-    z: float | None = None  # in 3D with a thickness: where across the flow [m]; where absent its mean counts
-    thickness: Length | None = None  # height above which the flow is there [m]; where absent the front arrives
+    x: tuple[float, ...] | None = None  # places that the flow reaches [m], if they are not in a table
+    z: float | None = None  # in 3D with a thickness: place across the flow [m]; default: the mean over the width
+    thickness: Length | None = None  # height above which the flow has arrived [m]; default: the front arrives
     spacing: Length = 0.02  # half width over which this height is a mean [m]
 
     operator_type = Arrival
@@ -94,13 +94,13 @@ class ArrivalSettings(LengthsSettings):
 
 
 class Speed(SmoothObservation):
-    """The mean speed of the material between two x, in 3D maybe two z, at some times or the largest over time [m/s].
+    """Mean speed of the material between two x, in 3D optionally two z, at some times or the largest over time [m/s].
 
         v = sum_p w_p V_p |x_p(t + T/2) - x_p(t - T/2)| / T / max(sum_p w_p V_p, V_0),    T = `window`
 
-    V are the volumes of the particles, of masses in proportion; w is 1 in the region and falls to 0 over a cell at its
-    edges; V_0 is half a layer of particles over the region, which counts as no longer and wider than all masses at the
-    start: a flow is narrower than its box. At the start and the end of the flow T is what there is of it.
+    V are the volumes of the particles, proportional to their masses; w is 1 in the region and falls to 0 over a cell at
+    its edges; V_0 is half a layer of particles over the region, which is limited to the initial extent of all masses:
+    a flow is narrower than its box. At the start and the end of the flow, T is shortened to the recorded time.
     """
 
     kind = "speed"
@@ -140,7 +140,7 @@ class Speed(SmoothObservation):
         ends = np.clip([time - 0.5 * self.window, time + 0.5 * self.window], rollout.times[0], rollout.times[-1])
         moments = np.array([ends[0], time, ends[1]])
         before, here, after = at_times(lambda frame: frame.double(), rollout.positions, rollout.times, moments)
-        # A particle at rest has no direction: the root of its square has no slope there.
+        # The root has no slope at 0, for a particle at rest.
         moved = ((after - before) ** 2).sum(dim=1).clamp(min=1e-24).sqrt() / (ends[1] - ends[0])
         weight: Any = rollout.volumes.double()
         for axis, low, high in self.sides:
@@ -153,11 +153,11 @@ class Speed(SmoothObservation):
 
 @dataclass(frozen=True, kw_only=True)
 class SpeedSettings(SeriesSettings):
-    """Of `Speed` [m/s], where no times are given the largest over time; the table has time and speed."""
+    """Settings of `Speed` [m/s], without times the largest over time; the table has time and speed."""
 
-    x: tuple[float, ...]  # between which two x [m]
-    z: tuple[float, ...] | None = None  # between which two z in 3D [m]; over the whole width where absent
-    window: float | None = None  # time over which a particle's speed is a mean [s]; a frame of the scene where absent
+    x: tuple[float, ...]  # the two x of the region [m]
+    z: tuple[float, ...] | None = None  # in 3D its two z [m]; default: the whole width
+    window: float | None = None  # time over which a particle's speed is averaged [s]; default: a frame of the scene
 
     operator_type = Speed
     places: ClassVar = {"x": 0, "z": 2}

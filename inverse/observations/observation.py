@@ -1,6 +1,6 @@
-"""What an observation operator is: M numbers of a flow, exactly for verdicts and smoothly for gradients.
+"""Observation operators: M numbers of a flow, in an exact form for verdicts and a smooth form for gradients.
 
-A new kind is an operator, its settings beside it, and a line in `inverse.observations.KINDS`.
+A new kind needs an operator, its settings and a line in `inverse.observations.KINDS`.
 """
 
 import math
@@ -22,25 +22,25 @@ from mpm.output.recording import Recording
 
 Values = NDArray[np.float64]  # an observation: M numbers in their unit, shape [M]
 
-LONG = 1.0e4  # numbers from here on are written without decimals
+LONG = 1.0e4  # numbers of at least this are written without decimals
 SCATTER_CELLS = 0.25  # standard deviation of a length from flow to flow, before an ensemble has measured it, in cells
-SMALL = 0.1  # of the largest number: smaller ones scatter as much as this where they scatter in proportion
+SMALL = 0.1  # share of the largest number: if scatter is proportional, smaller numbers scatter as much as this
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rollout:
-    """The particles' positions from the start to the end, and where it is the MPM's what solids took meanwhile."""
+    """The particles' positions from start to end and, from the MPM, impulses and pore pressure."""
 
     positions: Tensor
-    """[m], shape [T, N, D]."""
+    """Positions [m], shape [T, N, D]."""
     times: Values
-    """[s], shape [T]."""
+    """Times [s], shape [T]."""
     volumes: Tensor
-    """[m^D], shape [N]."""
+    """Volumes [m^D], shape [N]."""
     impulses: Tensor | None = None
-    """Momentum that solids have taken [N s], in 2D per metre of width, shape [T, solids, D]; no surrogate has it."""
+    """Impulse on each solid [N s], in 2D per metre of width, shape [T, solids, D]; not from a surrogate."""
     pore_pressure: Tensor | None = None
-    """Of the particles where it was recorded [Pa], shape [T, N]; no surrogate has it."""
+    """Pore pressure of the particles, if recorded [Pa], shape [T, N]; not from a surrogate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,46 +48,46 @@ class JointPart:
     """One of the observations that are compared together."""
 
     name: str
-    """As reports call it."""
+    """Name in reports."""
     observation: "Observation"
     numbers: slice
-    """Which of all numbers are its own."""
+    """Its part of all numbers."""
 
 
 class Observation:
     """An observation operator."""
 
     kind: ClassVar[str]
-    """Its name in a problem's TOML."""
+    """Name in a problem's TOML."""
     label: ClassVar[str]
-    """As reports call it."""
+    """Name in reports."""
     unit: ClassVar[str] = "m"
-    """Of the numbers; empty for a share."""
+    """Unit of the numbers; empty for a share."""
     scatter: ClassVar[float | None] = None
-    """Standard deviation from flow to flow over a number, before an ensemble has measured it; of lengths None."""
+    """Standard deviation from flow to flow over a number, before an ensemble has measured it; None for lengths."""
     limits: tuple[Any, Any] = (-math.inf, math.inf)
-    """Between which its numbers are possible."""
+    """Smallest and largest possible number."""
     every_particle: ClassVar[bool] = False
-    """Whether its numbers are those of single particles: too many for a Jacobian, and as many in every run."""
+    """Whether its numbers belong to single particles: too many for a Jacobian, and as many in every run."""
     count: int = 1
-    """M, of numbers that were measured."""
+    """M, the number of measured numbers."""
     components: int = 1
-    """How many of the numbers are the components of one point: their squared differences add up in the misfit."""
+    """Number of components of one point: their squared differences add up in the misfit."""
     scale: Values | float = 1.0
-    """What 1 stands for in the unit of a number, shape [M] or the same for all."""
+    """The value of 1 in the unit of a number, shape [M] or the same for all."""
     times: Values | None = None
-    """When it looks at the flow [s], one time for each number or one for all; in the end where absent."""
+    """Times of the observation [s], one for each number or one for all; default: the end."""
     over_time: bool = False
     """Whether it needs more of a trajectory than its last frame."""
     of_positions: bool = True
-    """Whether it follows from positions alone: what the surrogate predicts."""
+    """Whether it follows from positions alone, which the surrogate predicts."""
     of_water: bool = False
     """Whether it needs the pore pressure of the particles."""
     dense: ClassVar[bool] = False
-    """Whether it follows from positions all the same, of more particles than a surrogate has."""
+    """Whether it follows from positions, but of more particles than a surrogate has."""
 
     def __init__(self, scene: Scene, settings: Any = None) -> None:
-        """The operator for flows of `scene` by the settings of its kind. Raises InputError, which names their key."""
+        """The operator for flows of `scene` with the settings of its kind. Raises InputError, which names their key."""
         self.scene = scene
         self.parts: tuple[JointPart, ...] = (JointPart(name=self.kind, observation=self, numbers=slice(None)),)
         if (times := getattr(settings, "times", None)) is None:
@@ -98,13 +98,13 @@ class Observation:
         require(len(beyond) == 0, "times", expected, ", ".join(f"{time:g}" for time in beyond))
 
     def observe(self, trajectory: Trajectory) -> Values:
-        """Of a run, exactly; shape [M]."""
+        """The exact observation of a run, shape [M]."""
         if self.times is None:
             return self.exact(trajectory.positions[-1])
         return np.asarray(self.gathered(at_times(self.exact, trajectory.positions, trajectory.time, self.times)))
 
     def predict(self, rollout: Rollout) -> Tensor:
-        """Of a rollout, differentiable; shape [M]."""
+        """The differentiable observation of a rollout, shape [M]."""
         smooth = partial(self.smooth, volumes=rollout.volumes)
         if self.times is None:
             return smooth(rollout.positions[-1])
@@ -112,30 +112,30 @@ class Observation:
         return numbers
 
     def gathered(self, rows: Any) -> Any:
-        """The numbers [M] from those at each of the times [T, ...]."""
+        """The numbers [M] from the values at each of the times [T, ...]."""
         return rows.reshape(-1)
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
-        """Of the positions of all particles [m], shape [N, D]; returns shape [M]."""
+        """The exact observation, shape [M], of the positions of all particles [m], shape [N, D]."""
         raise NotImplementedError(f"{self.kind} of positions")
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        """Of positions [m], shape [N, D], of particles with `volumes` [m^D], shape [N]; differentiable; shape [M]."""
+        """The differentiable observation, shape [M], of positions [m], [N, D], with `volumes` [m^D], [N]."""
         raise NotImplementedError(f"{self.kind} of positions")
 
     def front(self, values: Values) -> float:
-        """The deposit's front [m] by this observation alone; nan where it does not give it."""
+        """The deposit's front [m] from this observation alone; nan if it does not determine the front."""
         return math.nan
 
     def at_end(self, values: Values) -> float:
-        """The latest of `values` [M]; nan where the scene lasts more than a frame longer, and the flow may go on."""
+        """The latest of `values` [M]; nan if the scene lasts more than a frame longer, as the flow may continue."""
         if self.times is None:
             return float(values[-1])
         latest, end = self.times.max(), self.scene.duration - self.scene.frame_dt
         return float(values[self.times == latest][-1]) if latest >= end * (1.0 - 1e-9) else math.nan
 
     def of_particles(self, values: Values, indices: NDArray[np.int64]) -> Values:
-        """The part of an exact observation that can be compared with that of the particles `indices` alone."""
+        """The part of an exact observation that belongs to the particles `indices`."""
         return values
 
     def misfit(self, values: Values, target: Values) -> float:
@@ -144,13 +144,13 @@ class Observation:
 
     @property
     def places(self) -> tuple[str, Values]:
-        """Where or when its numbers were observed, shape [M], and what that is; numbers from 1 on where neither is."""
+        """Label and places or times of the numbers, shape [M]; without either, numbers from 1 on."""
         if self.times is not None and len(self.times) == self.count:
             return "time [s]", self.times
         return "number", np.arange(1.0, self.count + 1.0)
 
     def scores(self, positions: NDArray[np.floating], volumes: Values) -> dict[str, float]:
-        """How well a deposit [m], shape [N, D], of `volumes` [N] covers what was observed, by name [-]."""
+        """Name -> score of how well a deposit [m], [N, D], of `volumes` [N] covers the observed area [-]."""
         return {}
 
     def prior_scatter(self, values: Values) -> Values:
@@ -172,7 +172,7 @@ class Observation:
 
 
 class SmoothObservation(Observation):
-    """One whose smooth form is the exact one too: a run is observed as a rollout is, by its own volumes."""
+    """An observation whose smooth form is also exact: a run is observed like a rollout, with its own volumes."""
 
     def observe(self, trajectory: Trajectory) -> Values:
         impulse, water = trajectory.solid_impulse, trajectory.pore_pressure
@@ -187,13 +187,13 @@ class SmoothObservation(Observation):
 
 
 class Joint(Observation):
-    """Several observations, each number over its standard deviation, so that all are compared in one sum.
+    """Several observations, compared in one sum by dividing each number by its standard deviation.
 
         z_i = y_i / s_i,    s_i^2 = n_i^2 + c_i^2,    misfit = 1/M sum_i (z_i - z*_i)^2
 
-    y are the numbers in their own units, n their standard deviations by errors of the measurement, c (`prior`) those of
-    one flow, another initial jitter: what two perfect measurements of one sand differ by. The weights 1 / s^2 (`scale`)
-    are those of least squares; c keeps a number that was measured very precisely from outweighing all others.
+    y are the numbers in their own units, n their standard deviations from measurement errors, c (`prior`) those between
+    flows with different initial jitter, as between two perfect measurements of one sand. The weights 1 / s^2 (`scale`)
+    are those of least squares; c prevents a very precisely measured number from outweighing all others.
     """
 
     kind = "joint"
@@ -224,7 +224,7 @@ class Joint(Observation):
 
 
 def recording(observations: Sequence[Observation]) -> Recording:
-    """What a run of the MPM has to record for these."""
+    """The quantities that an MPM run has to record for these observations."""
     moving, wet = (any(getattr(observation, key) for observation in observations) for key in ("over_time", "of_water"))
     return Recording(frames="all" if moving else "last", pore_pressure=wet)
 
@@ -232,7 +232,7 @@ def recording(observations: Sequence[Observation]) -> Recording:
 def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: Values) -> Any:
     """`operator` of a series [T, ...], arrays or tensors, at each of `times` [s], shape [times, ...].
 
-    Between two frames the series is linear in time: heights at a gauge are far from it.
+    Between two frames it interpolates the series, not the result: heights at a gauge are not linear in time.
     """
     different, which = np.unique(times, return_inverse=True)
     before, share = brackets(time, different)
@@ -243,7 +243,7 @@ def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: V
 
 
 def fitted_tail(values: Tensor, volumes: Tensor) -> Tensor:
-    """The value that 99.5 % of the volume is behind, by a fit (`measures.front`), differentiable; both of shape [n]."""
+    """The value behind which 99.5 % of the volume lies, by a differentiable fit (`measures.front`); inputs [n]."""
     ordered, order = torch.sort(values.double())
     weights = measures.tail_weights(volumes.detach().double().numpy()[order.numpy()])
     return torch.minimum((torch.from_numpy(weights) * ordered).sum(), ordered[-1])

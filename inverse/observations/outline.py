@@ -2,8 +2,8 @@
 
     y_i = + |p_i - q_i| where the model covers p_i, - |p_i - q_i| where not;    observed: 0
 
-p are points along the observed boundary, q the nearest ones of the model's, where its thickness (`inverse.observations.
-plan`) is `thickness`. As that changes by dh, the boundary moves outwards by dh / |grad h|: the slope of y_i.
+p are points along the observed boundary, q the nearest points of the model's boundary, on which its thickness
+(`inverse.observations.plan`) is `thickness`. If the thickness changes by dh, y_i changes by dh / |grad h|.
 """
 
 import math
@@ -32,18 +32,18 @@ from inverse.observations.plan import plan_grid, plan_sides, volume_over
 from inverse.observations.settings import LengthsSettings
 from inverse.observations.target import Target
 
-DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)  # of extents, where values but no directions are named
-POINTS = (8, 64)  # along the observed boundary, two cells apart or more: at least and at most
+DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)  # default directions of extents
+POINTS = (8, 64)  # smallest and largest number of points along the observed boundary, two cells apart or more
 ISLAND = 0.05
-"""Area over the largest part's, below which a part of the model's deposit is some particles that rolled on."""
-THICK = 0.2  # of the least thickness released: a default of `thickness` beyond it, in large cells, is said
-TVERSKY = (0.3, 0.7)  # weights of what the model alone covers, and of what it misses, which is worse
+"""Area over the largest part's, below which a part of the model's deposit is only stray particles."""
+THICK = 0.2  # share of the least thickness released, above which a default `thickness`, of large cells, gives a warning
+TVERSKY = (0.3, 0.7)  # weights of areas that only the model covers, and of areas that it misses, which is worse
 
 
 class Extents(SmoothObservation):
     """The extent of a deposit in 3D from the centroid c of its masses along directions n of the plan.
 
-    What a front is along x, of (p - c) . n: the support function of the outline, robust against single particles.
+    Each is the front of (p - c) . n instead of x: the support function of the outline, robust against single particles.
     """
 
     kind = "outline"
@@ -65,14 +65,14 @@ class Extents(SmoothObservation):
 
 
 class Boundary(SmoothObservation):
-    """Signed distances from points of the observed boundary to the model's [m], positive where this goes beyond."""
+    """Signed distances from points of the observed boundary to the model's [m], positive if the model covers more."""
 
     kind = "outline"
     label = "the outline of the deposit in plan"
     of_positions, dense = False, True
 
     def __init__(self, scene: Scene, region: shapely.Geometry, thickness: float | None = None) -> None:
-        """region: what was covered, in plan from the box's corner [m]; thickness: above which the model covers [m]."""
+        """region: the covered area in plan, from the box's corner [m]; thickness: above which the model covers [m]."""
         super().__init__(scene)
         self.grid, self.region = plan_grid(scene, scene.domain.cell), region
         least = 0.5 * min(map(least_thickness, scene.masses))
@@ -87,7 +87,7 @@ class Boundary(SmoothObservation):
         self.count = len(self.points)
 
     def covered(self, thickness: Floats) -> shapely.Geometry:
-        """Where thicknesses [K] exceed that of the outline, single islands left out."""
+        """The area in which thicknesses [K] exceed that of the outline, without small islands."""
         polygons = region_above(self.grid, thickness.reshape(self.grid.nodes), self.thickness).geoms
         largest = max((polygon.area for polygon in polygons), default=0.0)
         return shapely.union_all([polygon for polygon in polygons if polygon.area >= ISLAND * largest])
@@ -101,7 +101,7 @@ class Boundary(SmoothObservation):
         thickness = heights.detach().numpy()
         model = self.covered(thickness)
         if model.is_empty:
-            # Nothing is left: as far off as the box is long.
+            # Without any deposit the distance is the length of the box.
             return torch.full((self.count,), -max(self.scene.domain.size), dtype=torch.float64)
         edge = model.boundary
         inside = shapely.contains_xy(model, shapely.get_coordinates(self.points))
@@ -127,14 +127,14 @@ class Boundary(SmoothObservation):
 
 @dataclass(frozen=True, kw_only=True)
 class OutlineSettings(LengthsSettings):
-    """Of `Boundary`; of `Extents` where values or directions are named. The table has x and z of vertices in order."""
+    """Settings of `Boundary`, or of `Extents` with values or directions. The table has ordered vertices x, z."""
 
     file: str | None = None  # polygons (GeoJSON, shapefile, GeoPackage, KML), in the map coordinates of the scene
     values: tuple[float, ...] | None = None  # extent [m] in each of `directions_deg`
-    directions_deg: tuple[float, ...] | None = None  # from +x towards +z; every 22.5 degrees where absent
-    thickness: Length | None = None  # above which a place is covered [m]; where absent as in `datasets.maps`
+    directions_deg: tuple[float, ...] | None = None  # from +x towards +z; default: every 22.5 degrees
+    thickness: Length | None = None  # above which a place is covered [m]; default: as in `datasets.maps`
     length: Length | None = None
-    """Correlation length of the errors along the boundary [m]: exp(-distance / length); independent where absent."""
+    """Correlation length of the errors along the boundary [m]: exp(-distance / length); default: independent."""
 
     operator_type = Boundary
     robust = False
@@ -147,7 +147,7 @@ class OutlineSettings(LengthsSettings):
     def operator(self, scene: Scene) -> Observation:
         if self.values is not None or self.directions_deg is not None:
             return Extents(scene, self.directions_deg)
-        # Of a twin whose outline is not known yet.
+        # For a twin, whose outline is not known yet.
         return Boundary(scene, shapely.box(0.0, 0.0, *plan_sides(scene)), self.thickness)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
@@ -165,7 +165,7 @@ class OutlineSettings(LengthsSettings):
                 require(polygons[0].is_valid, "", "vertices in order along the outline", crossed)
             else:
                 features = read_polygons(path, crs)
-                # Our own file has what the flow covered beside the deposit, for each threshold.
+                # A file of `datasets.maps` has outlines of the deposit and of the flow, for each threshold.
                 deposit = [feature for feature in features if feature.attributes.get("name") == "deposit"]
                 levels = sorted({float(feature.attributes.get("threshold_m", 0.0)) for feature in deposit} - {0.0})
                 if levels:
@@ -194,7 +194,7 @@ class OutlineSettings(LengthsSettings):
         return self.around(Boundary(scene, region, self.thickness))
 
     def around(self, operator: Boundary) -> Target:
-        """The target of an observed boundary: no distance from it, with the stated errors."""
+        """The target of an observed boundary: distances of 0 with the stated errors."""
         values = np.zeros(operator.count)
         deviation = Noise.stated(self.noise).of(values)
         errors = Covariance.correlated(deviation, shapely.get_coordinates(operator.points), self.length)

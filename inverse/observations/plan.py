@@ -1,4 +1,4 @@
-"""The thickness of a deposit, or the largest of a flow, over the cells of a raster in plan (3D).
+"""The thickness of a deposit, or the largest thickness of a flow, over the cells of a raster in plan (3D).
 
     h_c = f_c / A  sum_p w_c(x_p) V_p
 
@@ -6,8 +6,8 @@ w shares the volume V_p of a particle linearly between the cells around it, as `
 cell. Volumes are those at the initial density. With n the normal of the ground and g gravity, f is n_y for a thickness
 normal to the ground, and n_y |g| / (-n . g) for a vertical one, along gravity.
 
-Many cells are compared in blocks, by means over them. A peak is taken in the cells first, over the frames and, where
-the flow crosses cells from one frame to the next, between these: the mean of the largest is more than the largest mean.
+Many cells are compared in blocks, by means over each block. A peak is first taken in each cell, over the frames and, if
+the flow crosses cells from one frame to the next, between them: the mean of the peaks exceeds the peak of the mean.
 """
 
 import itertools
@@ -39,12 +39,12 @@ from inverse.observations.observation import SCATTER_CELLS, Rollout, SmoothObser
 from inverse.observations.settings import ObservationSettings
 from inverse.observations.target import Target
 
-MOST = 1500  # cells of an observation: their covariance is a dense matrix. Finer rasters are taken in blocks
+MOST = 1500  # most cells of an observation, whose covariance is a dense matrix; finer rasters are compared in blocks
 AROUND = 0.25
 """Distance from the deposit, over the root of its area, up to which bare cells count: more would hide a misfit."""
-TOO_MUCH = 2.0  # volume of a deposit over the released one that another unit makes, or another scene
-OPEN = 0.5  # share of the cells around a deposit without data that is said: a model that goes beyond would not be seen
-SUNKEN = 0.1  # depth of a survey beneath the terrain, in cells, that is said
+TOO_MUCH = 2.0  # volume of a deposit over the released one, above which the unit or the scene must be wrong
+OPEN = 0.5  # share of cells without data around a deposit that gives a warning: an overrun there would not be seen
+SUNKEN = 0.1  # depth of a survey beneath the terrain, in cells, that gives a warning
 
 
 def plan_sides(scene: Scene) -> tuple[float, ...]:
@@ -54,7 +54,7 @@ def plan_sides(scene: Scene) -> tuple[float, ...]:
 
 
 def plan_grid(scene: Scene, cell: float) -> Grid:
-    """Square cells of about this edge [m] over the whole plan of a scene in 3D, by their middles."""
+    """Square cells of edge about `cell` [m] over the whole plan of a 3D scene, given by their centres."""
     sides = plan_sides(scene)
     counts = tuple(max(1, round(side / cell)) for side in sides)
     spacing = tuple(side / count for side, count in zip(sides, counts, strict=True))
@@ -89,7 +89,7 @@ def factors(scene: Scene, grid: Grid, direction: str) -> Floats:
 
 
 class Thickness(SmoothObservation):
-    """The thickness in cells of a raster or blocks: of the deposit, or the largest at any time; M numbers [m]."""
+    """The thickness in cells of a raster or in blocks: of the deposit, or the largest at any time; M numbers [m]."""
 
     kind = "thickness"
     label = "the thickness over the plan"
@@ -98,7 +98,7 @@ class Thickness(SmoothObservation):
     def __init__(
         self, scene: Scene, settings: "ThicknessSettings", blocks: "Blocks", chosen: NDArray[np.int64] | None = None
     ) -> None:
-        """chosen: those of the blocks that were measured; all where absent."""
+        """chosen: indices of the measured blocks; default: all."""
         super().__init__(scene, settings)
         self.blocks, self.grid, self.over_time = blocks, blocks.grid, settings.peak
         self.cells = np.arange(self.grid.count) if chosen is None else chosen
@@ -114,7 +114,7 @@ class Thickness(SmoothObservation):
         return volume_over(self.blocks.cells, positions, volumes) * self.factor
 
     def measured(self, thickness: Tensor) -> Tensor:
-        """The means over the blocks that were measured of a thickness in the cells."""
+        """The means of a thickness in the cells over the measured blocks."""
         return self.blocks.means(thickness)[torch.from_numpy(self.cells)]
 
     def predict(self, rollout: Rollout) -> Tensor:
@@ -140,11 +140,11 @@ class ThicknessSettings(ObservationSettings):
     file: str | None = None
     """A raster of thicknesses [m], or points of a survey of the surface (`datasets.exchange.points`), in the map
     coordinates of the scene."""
-    cell: Length | None = None  # of a survey, a twin or a trajectory: edge of the cells [m]; the scene's where absent
-    peak: bool = False  # whether they are the largest over time, not those of the deposit
+    cell: Length | None = None  # for a survey, a twin or a trajectory: edge of the cells [m]; default: the scene's
+    peak: bool = False  # whether thicknesses are the largest over time instead of the deposit's
     direction: Literal["normal", "vertical"] = "normal"  # how they are measured: normal to the ground or along gravity
     length: Length | None = None
-    """Correlation length of their errors in plan [m]: exp(-distance / length); independent where absent."""
+    """Correlation length of their errors in plan [m]: exp(-distance / length); default: independent."""
 
     operator_type = Thickness
     robust = False
@@ -181,10 +181,10 @@ class ThicknessSettings(ObservationSettings):
             return self.measured(scene, cut, values)
 
     def surveyed(self, scene: Scene, path: Path) -> tuple["Blocks", Values]:
-        """Cells, and the thickness [m] of what the points of a survey show above the ground in each [K].
+        """Cells, and the thickness [m] above the ground in each cell [K] from the points of a survey.
 
-        The mean over the points of a cell of their elevation above the terrain, NaN without points; where it is below
-        twice the noise, the ground is bare.
+        It is the mean elevation of a cell's points above the terrain, NaN without points; if it is below twice the
+        noise, the ground is bare.
         """
         (corner, crs), cut = map_corner(scene), self.operator(scene).blocks
         grid = cut.grid
@@ -208,7 +208,7 @@ class ThicknessSettings(ObservationSettings):
         return self.measured(scene, whole.blocks, whole.observe(run))
 
     def measured(self, scene: Scene, cut: "Blocks", values: Values) -> Target:
-        """The target of values [m] in the blocks `cut` [K], NaN where there are none; those around them count."""
+        """The target of values [m] in the blocks `cut` [K], NaN without data; bare blocks around the deposit count."""
         grid = cut.grid
         covered = (np.nan_to_num(values) > 0.0).reshape(grid.nodes)
         require(bool(covered.any()), "", "a thickness above 0 m in the box", "none")
@@ -222,7 +222,7 @@ class ThicknessSettings(ObservationSettings):
         cells = np.flatnonzero((apart <= reach).ravel() & np.isfinite(values))
         shown = values[cells]
         self.warn_of_noise(shown, scene.domain.size[1])
-        # A deposit thinner than the noise would not have been seen on bare ground.
+        # Bare ground has the noise of a mean thickness, because a thinner deposit would not have been seen.
         deviation = Noise.stated(self.noise).of(np.where(shown > 0.0, shown, shown[shown > 0.0].mean()))
         errors = Covariance.correlated(deviation, grid.positions[cells], self.length)
         return Target(observation=Thickness(scene, self, cut, cells), values=shown, errors=errors)
@@ -233,7 +233,7 @@ class Blocks:
     """Blocks of cells in plan, K in all."""
 
     grid: Grid  # of the blocks
-    parts: tuple[int, int]  # how many cells a block has along x and z
+    parts: tuple[int, int]  # number of cells of a block along x and z
 
     @cached_property
     def cells(self) -> Grid:
@@ -250,9 +250,9 @@ class Blocks:
 
 
 def in_blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Blocks, Values]:
-    """The cells of a raster in the box, and their values [K]: means over blocks of a cell of the scene at least.
+    """The cells of a raster in the box, and their values [K]: means over blocks at least as large as a scene's cell.
 
-    corner: of the box on the map [m], shape [2]; a block with a hole is one. Raises InputError where none lies in it.
+    corner: of the box on the map [m], shape [2]; a block with a hole is NaN. Raises InputError if no cell lies in it.
     """
     places, kept = (raster.x - corner[0], raster.z - corner[1]), []
     for at, side in zip(places, plan_sides(scene), strict=True):
@@ -267,7 +267,7 @@ def in_blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Bl
     counts = [len(indices) // block for indices, block in zip(kept, widths, strict=True)]
     rows = []
     for indices, count, block in zip(kept, counts, widths, strict=True):
-        # What blocks do not fill is left at both ends.
+        # Cells that fill no block are left out at both ends.
         rows.append(indices[(len(indices) - count * block) // 2 :][: count * block])
     cut = raster.values[np.ix_(*rows)].reshape(counts[0], widths[0], counts[1], widths[1])
     spacing = (raster.spacing[0] * widths[0], raster.spacing[1] * widths[1])

@@ -1,11 +1,11 @@
-"""The height profile along x of the deposit, or of the flow at a time; one whose heights have errors at its own rows.
+"""The height profile along x of the deposit, or of the flow at a time; with noise on heights, at its measured rows.
 
     h_rows = P h,    area(x) = int_0^x h_rows dx' with h_rows linear between rows,    area(x_k) = s_k area(L)
 
-P interpolates the model's profile at its stations to the rows: a chord between two rows cuts what lies between them off
-both profiles alike. A row is the height at one x, the model's a mean over its spacing: an error of representation
-(Janjic et al., On the representation error in data assimilation, Quart. J. Roy. Meteorol. Soc. 144 (2018) 1257-1278),
-`REPRESENTATION` of a cell, comes on top of the noise of each height.
+P interpolates the model's profile at its stations to the rows, so that both profiles are linear between rows. A row is
+the height at one x, the model's a mean over its spacing: a representation error (Janjic et al., On the representation
+error in data assimilation, Quart. J. Roy. Meteorol. Soc. 144 (2018) 1257-1278) of `REPRESENTATION` cells is added to
+the noise of each height.
 """
 
 import math
@@ -34,13 +34,13 @@ SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANT
 """Shares of a profile's area: the middles of twenty equal parts, and the front."""
 REPRESENTATION = 0.25  # standard deviation of a height at one x from the model's mean around it, in cells
 Ends = tuple[float, float]
-DRAWS = 400  # of noise on the heights, by which the covariance of the observation is known to 7 %
+DRAWS = 400  # draws of noise on the heights, which give the covariance of the observation to 7 %
 
 
 class Profile(Observation):
-    """The height profile by its quantiles: the x behind which a given share of its area lies, for `SHARES` of it.
+    """The height profile by its quantiles: the x behind which each of `SHARES` of its area lies.
 
-    Two fronts that do not overlap differ by the same heights however far they are apart; the mean square difference of
+    Heights at fixed x do not show how far apart two fronts are that do not overlap. The mean square difference of
     positions of equal shares is the squared transport (Wasserstein) distance of the two areas: Engquist & Froese,
     Application of the Wasserstein metric to seismic signals, Commun. Math. Sci. 12 (2014) 979-988. In 3D the area is
     the mean over z.
@@ -52,9 +52,9 @@ class Profile(Observation):
     def __init__(
         self, scene: Scene, settings: "ProfileSettings", rows: Values | None = None, ends: Ends | None = None
     ) -> None:
-        """rows: where alone heights are known [m], ascending, [R]; they go on to the walls; else the model's.
+        """rows: ascending x of the known heights [m], [R], continued to the walls; default: the model's stations.
 
-        ends: between which two x [m] it lies, those of the walls where absent; what lies beyond does not count.
+        ends: the two x [m] between which the profile lies, by default the walls; material beyond does not count.
         """
         super().__init__(scene, settings)
         length, spacing, times = scene.domain.size[0], settings.spacing, settings.times
@@ -75,7 +75,7 @@ class Profile(Observation):
         return np.asarray(self.sampling @ heights)
 
     def held(self, positions: Any) -> Any:
-        """Which of positions [N, D] lie between the ends, shape [N]."""
+        """Which positions [N, D] lie between the ends, shape [N]."""
         return (positions[:, 0] >= self.ends[0]) & (positions[:, 0] <= self.ends[1])
 
     def of_heights(self, heights: Values) -> Values:
@@ -95,7 +95,7 @@ class Profile(Observation):
         area = volumes.double()
         heights = torch.zeros(last + 1, dtype=torch.float64)
         heights = heights.index_add(0, left, area * (1.0 - share)).index_add(0, left + 1, area * share)
-        # Half of a station's length lies beyond the wall.
+        # At a wall, half of a station's length lies outside.
         ends = torch.ones_like(heights)
         ends[[0, last]] = 2.0
         return self._quantiles(torch.from_numpy(self.sampling) @ (heights * ends))
@@ -109,7 +109,7 @@ class Profile(Observation):
         right = torch.searchsorted(area.detach(), shares.detach()).clamp(1, len(pieces))
         low, rest = heights[right - 1], shares - area[right - 1]
         bend = 2.0 * (heights[right] - low) / spacing[right - 1]
-        # The root of low s + bend s^2 / 4 = rest that goes over into rest / low where there is no bend.
+        # The root of low s + bend s^2 / 4 = rest that tends to rest / low without a bend.
         return stations[right - 1] + 2.0 * rest / (low + torch.sqrt((low**2 + bend * rest).clamp(min=1e-300)))
 
     @property
@@ -124,11 +124,11 @@ class Profile(Observation):
 
 
 class SurfaceProfile(Profile):
-    """`Profile` of the deposit's surface: how high above the ground its particles lie, loosened or not.
+    """`Profile` of the deposit's surface: the height of its particles above the ground, including dilation.
 
-    At a station it is the centre of the highest particle that is nearest to this station, in 3D the mean of these over
-    the width: of a level layer the surface within a quarter of a particle. The surrogate follows too few particles for
-    a surface: its smooth form is that of the equivalent heights, and the emulator of the MPM has the difference.
+    At a station it is the centre of the highest particle nearest to this station, in 3D the mean of these over the
+    width: for a level layer, the surface within a quarter of a particle. The surrogate follows too few particles for a
+    surface, so its smooth form uses the equivalent heights, and the emulator of the MPM represents the difference.
     """
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
@@ -148,11 +148,11 @@ class SurfaceProfile(Profile):
 
 @dataclass(frozen=True, kw_only=True)
 class ProfileSettings(LengthsSettings):
-    """Of `Profile`; the table has x and height."""
+    """Settings of `Profile`; the table has x and height."""
 
-    heights: Heights = Heights.EQUIVALENT  # what the heights are
+    heights: Heights = Heights.EQUIVALENT  # meaning of the heights
     spacing: float = 0.02  # distance between the stations [m]
-    times: tuple[float, ...] | None = None  # when [s] after the start, one time; where absent, in the end
+    times: tuple[float, ...] | None = None  # one time [s] after the start; default: the end
     datum: float = 0.0  # height of the floor in a table [`unit`]
 
     operator_type, blanks = Profile, True
@@ -174,10 +174,10 @@ class ProfileSettings(LengthsSettings):
         return self.sampled(operator, operator.of_heights(profile.at(operator.stations)), profile)
 
     def of_run(self, scene: Scene, run: Trajectory) -> Target:
-        """See `ObservationSettings.of_run`; the noise is that of the heights."""
+        """See `ObservationSettings.of_run`; the noise applies to the heights."""
         operator = self.operator(scene)
         values = operator.observe(run)
-        # One without any noise is compared as it is.
+        # A profile without noise is compared as it is.
         if self.noise == 0.0 and self.heights is Heights.EQUIVALENT:
             return self.compared(operator, values)
         positions = run.positions[-1]
@@ -187,7 +187,7 @@ class ProfileSettings(LengthsSettings):
         return self.sampled(operator, values, profile)
 
     def sampled(self, operator: Profile, values: Values, profile: MeasuredProfile) -> Target:
-        """`values` [M] with stated errors of the heights and of representation, more where rows scatter more."""
+        """`values` [M] with the stated and representation errors of the heights, larger if rows scatter more."""
         noise = Noise.stated(self.noise)
         self.warn_of_noise(profile.height, operator.scene.domain.size[1])
         represented = math.hypot(noise.deviation, REPRESENTATION * operator.scene.domain.cell)
@@ -203,10 +203,10 @@ class ProfileSettings(LengthsSettings):
 
 
 def to_the_wall(rows: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
-    """`rows` [m] from the end at x = `low` to the one at `high` [m]; where they stop earlier, they go on as before."""
+    """`rows` [m], continued with their own spacing to the ends at x = `low` and `high` [m]."""
     rows = np.clip(rows, low, high)
     before = np.arange(rows[0] - (rows[1] - rows[0]), low, rows[0] - rows[1])[::-1]
     beyond = np.arange(rows[-1] + (rows[-1] - rows[-2]), high, rows[-1] - rows[-2])
     every = np.concatenate([[low], before, rows, beyond, [high]])
-    # A last step that ends a rounding error before the wall is none.
+    # A last step of the size of a rounding error is dropped.
     return np.asarray(every[np.concatenate([[True], np.diff(every) > 1e-6 * (high - low)])])

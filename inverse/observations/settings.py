@@ -1,4 +1,4 @@
-"""What a problem's file says of an observation; each kind adds the keys of its operator."""
+"""The keys of an observation in a problem's file; each kind adds the keys of its operator."""
 
 import warnings
 from collections.abc import Sequence
@@ -24,16 +24,16 @@ SOURCES = ("value", "values", *FILES)  # keys under which measured numbers stand
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationSettings(Record):
-    """What is measured and how well; of a kind also where and when, and what came out. Raises InputError."""
+    """A measurement: its noise and, depending on the kind, its places, times and results. Raises InputError."""
 
-    name: str | None = None  # as it is called in reports; its kind where absent
+    name: str | None = None  # name in reports; default: its kind
     noise: StatedNoise = 0.0
-    """Standard deviation of each number, of a profile of each height: in their unit, or a percentage such as "3%"."""
+    """Standard deviation of each number, for a profile of each height: in their unit, or a percentage such as "3%"."""
 
-    robust: ClassVar[bool] = True  # whether its numbers have errors of their own, so that one may be an outlier
+    robust: ClassVar[bool] = True  # whether errors of its numbers are independent, so that one may be an outlier
     operator_type: ClassVar[type[Observation]]
     places: ClassVar[dict[str, int | None]] = {}
-    """Keys that say where something is, and along which axis of the scene; None: a whole vector."""
+    """Keys that hold coordinates -> their axis of the scene; None: a whole vector."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -45,9 +45,9 @@ class ObservationSettings(Record):
         require(len(self.given) < 2, "", f"one of {', '.join(self.sources)}", " and ".join(self.given))
 
     def in_box(self, corner: Floats, keys: Sequence[str] | None = None) -> Self:
-        """With places from the box's lower corner, in place of a map's on which that is `corner` [m], shape [D].
+        """The settings with map coordinates converted to box coordinates; corner: of the box on the map [m], shape [D].
 
-        keys: those that are on the map; all where absent. Raises InputError, which names the key.
+        keys: the keys in map coordinates; default: all. Raises InputError, which names the key.
         """
         moved: dict[str, Any] = {}
         for key, axis in self.places.items():
@@ -70,16 +70,16 @@ class ObservationSettings(Record):
 
     @property
     def sources(self) -> list[str]:
-        """Keys under which its numbers may stand."""
+        """Keys that may hold its numbers."""
         return [key for key in SOURCES if hasattr(self, key)]
 
     @property
     def given(self) -> dict[str, Any]:
-        """The measured numbers or their table by the key under which they stand; none of a twin."""
+        """Key -> the measured numbers or their file; empty for a twin."""
         return {key: getattr(self, key) for key in self.sources if getattr(self, key) is not None}
 
     def stated(self, operator: Observation) -> Values:
-        """The numbers that stand in the settings themselves, shape [M]. Raises InputError for impossible ones."""
+        """The numbers in the settings themselves, shape [M]. Raises InputError for impossible ones."""
         ((key, given),) = self.given.items()
         values = np.atleast_1d(np.array(given))
         require(len(values) == operator.count, key, f"{operator.count} numbers", len(values))
@@ -90,14 +90,14 @@ class ObservationSettings(Record):
         return values
 
     def compared(self, operator: Observation, values: Values) -> Target:
-        """`values` [M] with errors that are independent of each other."""
+        """The target of `values` [M] with independent errors."""
         errors = Covariance(Noise.stated(self.noise).of(values))
         self.warn_of_noise(values, float(np.max(operator.limits[1]) - np.min(operator.limits[0])))
         dof = np.full(len(values), self.noise.dof) if isinstance(self.noise, Student) else None
         return Target(observation=operator, values=values, errors=errors, dof=dof)
 
     def warn_of_noise(self, values: Values, span: float) -> None:
-        """One UserWarning for a noise that looks like a percentage without its sign; span: range of possible values."""
+        """Warn of a noise that looks like a percentage without its sign; span: range of possible values."""
         noise, largest = Noise.stated(self.noise).deviation, float(np.nanmax(np.abs(values)))
         if noise > span or max(1.0, largest) <= noise < 100.0:
             than = f"the range of what is possible, {span:g}" if noise > span else f"every number, at most {largest:g}"
@@ -105,37 +105,37 @@ class ObservationSettings(Record):
             warnings.warn(f'{self.name or self.kind}: {said}; a percentage is written "{noise:g}%"', stacklevel=3)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
-        """What was measured. Raises InputError, which names the key or the table.
+        """The target of the measured numbers. Raises InputError, which names the key or the table.
 
-        folder: of relative paths; released: volume of the masses over the width [m^2], None where it is not known.
+        folder: of relative paths; released: volume of the masses over the width [m^2], None if it is not known.
         """
         operator = self.operator(scene)
         return self.compared(operator, self.stated(operator))
 
     def of_run(self, scene: Scene, run: Trajectory) -> Target:
-        """What a run shows. Raises InputError where it has not recorded that."""
+        """The target from a run. Raises InputError if the run has not recorded the quantity."""
         operator = self.operator(scene)
         return self.compared(operator, operator.observe(run))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TabulatedSettings(ObservationSettings):
-    """Of an observation whose numbers may stand in a table."""
+    """Settings of an observation whose numbers may be in a table."""
 
-    csv: str | None = None  # a table with the `columns` of the kind and maybe others
+    csv: str | None = None  # a table with the `columns` of the kind and possibly others
 
     blanks: ClassVar[bool] = False  # whether rows of it may be empty
-    columns: ClassVar[dict[str, str]] = {}  # its columns, and the key that each stands for
-    optional: ClassVar[tuple[str, ...]] = ()  # those that may be absent
+    columns: ClassVar[dict[str, str]] = {}  # column -> the key that it replaces
+    optional: ClassVar[tuple[str, ...]] = ()  # columns that may be absent
 
     @property
     def count(self) -> int:
-        """How many numbers stand under `values`."""
+        """The number of `values`."""
         return len(getattr(self, "values", None) or ())
 
     @property
     def metres(self) -> float:
-        """What a length of 1 is in its table [m]."""
+        """The unit of lengths in its table [m]."""
         return 1.0
 
     def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
@@ -156,22 +156,22 @@ class TabulatedSettings(ObservationSettings):
             read = replace(self, csv=None, **numbers).in_box(scene.domain.corner, [*numbers])
             return read.read(scene, folder, released)
         except InputError as error:
-            # A mistake in a column is none of the problem's file.
+            # An error in a column concerns the table, not the problem's file.
             raise error.at(str(path)) if error.key in ("", *numbers) else error from None
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeriesSettings(TabulatedSettings):
-    """Of an observation that is one number, of the end unless the kind says otherwise, or one at each of some times."""
+    """Settings of an observation of one number, by default at the end, or of one number at each of several times."""
 
     value: float | None = None  # in the unit of the kind
     values: tuple[float, ...] | None = None  # one for each of `times`
-    times: tuple[float, ...] | None = None  # when [s] after the start
+    times: tuple[float, ...] | None = None  # times [s] after the start
 
 
 @dataclass(frozen=True, kw_only=True)
 class LengthsSettings(TabulatedSettings):
-    """Of an observation whose table has lengths."""
+    """Settings of an observation whose table has lengths."""
 
     unit: Literal["m", "cm", "mm", "ft"] = "m"  # of the lengths in a table
 

@@ -1,4 +1,4 @@
-"""What an inversion is given: an operator, what was measured with it, and the errors of these numbers."""
+"""The target of an inversion: an operator, the numbers measured with it, and their errors."""
 
 import math
 from collections.abc import Sequence
@@ -15,46 +15,46 @@ from inverse.observations.errors import Covariance
 from inverse.observations.measured_profile import MeasuredProfile
 from inverse.observations.observation import Joint, JointPart, Observation, Values
 
-ALL_DATA = "none"  # what is left out where nothing is
+ALL_DATA = "none"  # name of the left-out observation if all are used
 
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """Of one observation, or of several as one (`joined`). What follows `roughness` reports alone use."""
+    """The target of one observation, or of several (`joined`). Only reports use the fields after `roughness`."""
 
     observation: Observation
     values: Values
     """Shape [M]."""
     errors: Covariance
-    """Of the values by errors of the measurement."""
+    """Covariance of the measurement errors."""
     dof: Values | None = None
-    """Degrees of freedom of Student's t of each error, inf of normal ones, shape [M]; all are normal where absent."""
+    """Degrees of freedom of Student's t of each error, inf for normal errors, shape [M]; default: all normal."""
     stated: Covariance | None = None
-    """The errors as they were stated, where `errors` count outliers for what they are (`reweighted`)."""
+    """The errors as stated, if `errors` has larger ones for outliers (`reweighted`)."""
     profile: MeasuredProfile | None = None
-    """Where heights of a profile have errors."""
+    """The measured profile, if its heights have errors."""
     roughness: float = 1.0
-    """By how much these scatter more than their stated noise, which is counted."""
+    """Scatter of its heights over their stated noise, included in `errors`."""
     front: float = math.nan
-    """Front of the deposit [m], with which that of an MPM run is compared; nan where it is not known."""
+    """Front of the deposit [m], to compare with that of an MPM run; nan if unknown."""
     cell: float | None = None
-    """Of the grid that the observed flow was simulated on [m]; None of a measured one."""
+    """Cell size of the simulated flow that was observed [m]; None for a measured flow."""
     deposit: NDArray[np.floating] | None = None
-    """Where known: positions of the deposit [m], shape [N, D]."""
+    """Positions of the deposit [m], if known, shape [N, D]."""
     truth: dict[str, float] | None = None
-    """Where known: the true numbers."""
+    """The true numbers, if known."""
 
     @property
     def deviation(self) -> Values:
-        """Standard deviation of each value by errors of the measurement, shape [M]."""
+        """Standard deviation of each value due to measurement errors, shape [M]."""
         return self.errors.deviation
 
     def reweighted(self, square: Values) -> "Target":
-        """With the errors that residuals show whose expected squares are `square` [M].
+        """The target with errors updated from residuals whose expected squares are `square` [M].
 
             s_i^2 / l_i,    l_i = (nu + 1) / (nu + r_i^2 / s_i^2)
 
-        Student's t is a normal distribution whose variance is itself drawn; l is the mean of its precision given the
+        Student's t is a normal distribution with a random variance; l is the mean of its precision given the
         residual (Lange, Little & Taylor, Robust statistical modeling using the t distribution, J. Am. Stat. Assoc. 84
         (1989) 881-896; over a posterior Tipping & Lawrence, Neurocomputing 69 (2005) 123-141).
         """
@@ -71,12 +71,12 @@ class Target:
         return self.observation.misfit(values, self.values)
 
     def front_error(self, run: Trajectory) -> float:
-        """Relative error of the front of the deposit of `run`; nan where the target has none."""
+        """Relative error of the deposit's front in `run`; nan if the target has no front."""
         return (measures.front(run.positions[-1], run.volumes) - self.front) / self.front
 
 
 def without(target: Target, name: str) -> tuple[Target, NDArray[np.int64]]:
-    """Several observations as one without one of them, or all for a name that none has, and which numbers are left."""
+    """The joint target without the observation `name` (all of it if none has that name), and the remaining numbers."""
     parts, left, whole = [], np.arange(0), target.observation
     for part in whole.parts:
         if part.name != name:
@@ -90,7 +90,7 @@ def without(target: Target, name: str) -> tuple[Target, NDArray[np.int64]]:
 
 
 def joined(targets: Sequence[Target], names: Sequence[str]) -> Target:
-    """Several observations, as reports call them, as one. Raises InputError for numbers without any deviation."""
+    """Joins several observations, with their names in reports. Raises InputError for numbers without any deviation."""
     if len(targets) == 1:
         return targets[0]
     spans = starmap(slice, pairwise(np.cumsum([0, *(len(target.values) for target in targets)]).tolist()))

@@ -1,11 +1,11 @@
-"""Parameters: what of a scene can be unknown, and how each enters the MPM's scene and the surrogate's initial state.
+"""Parameters: the possible unknowns of a scene, and how each enters the MPM's scene and the surrogate's initial state.
 
-Names and units are those of docs/formats.md. What no surrogate has among its inputs is the MPM's alone; a height or a
-thickness makes other particles: a surrogate begins anew with them, without a gradient.
+Names and units are those of docs/formats.md. Only the MPM supports parameters that are no inputs of the surrogate. A
+height or a thickness changes the particles: a surrogate then starts with new ones, without a gradient.
 
 >>> scene = with_parameters(scene, ["friction_deg", "masses[0].velocity_x"], [32.0, 1.5])
 
-A new one is a line of `KINDS` (`inverse.parameters.kind`) and, where the surrogate has it among its inputs, a function.
+A new one needs a line in `KINDS` (`inverse.parameters.kind`) and, if it is an input of the surrogate, a function.
 """
 
 import itertools
@@ -28,11 +28,11 @@ from inverse.parameters.prior import Marginal, Prior
 __all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
 
 LENGTHS = Bounds("positive lengths in m, up to 1e+09", gt=0.0)
-FILLING = 32  # points by which the box of the bounds is filled, and corners of it, that are tried
+FILLING = 32  # number of points that fill the box of the bounds, and of its corners, at which scenes are checked
 
 
 def kind(name: str) -> Kind:
-    """What the parameter `name` is. Raises InputError."""
+    """The kind of the parameter `name`. Raises InputError."""
     index = re.search(r"\[(\d{1,6})\]", name)
     form = name if index is None else name[: index.start() + 1] + name[index.end() - 1 :]
     if form not in KINDS or (index is None) == ("[]" in form):
@@ -42,7 +42,7 @@ def kind(name: str) -> Kind:
 
 
 def known_names(scene: Scene) -> list[str]:
-    """The parameters that `scene` has, of each kind the first."""
+    """The parameters that `scene` has, the first of each kind."""
     names = []
     for form, candidate in KINDS.items():
         for index in range(len(getattr(scene, candidate.group)) if candidate.group else 1):
@@ -62,7 +62,7 @@ def with_parameters(scene: Scene, names: Sequence[str], values: Sequence[float] 
 
 
 def with_kinds(scene: Scene, kinds: Sequence[Kind], values: Sequence[float] | Vector) -> Scene:
-    """As `with_parameters`, of names that are resolved."""
+    """Like `with_parameters`, with resolved names."""
     draft = Draft(**vars(scene))
     for index in in_order(kinds):
         kinds[index].put(draft, float(values[index]))
@@ -79,30 +79,30 @@ class Parameter(Record):
     """A number with a prior between its bounds or, with a `spacing`, a field (`inverse.parameters.field`)."""
 
     name: str
-    """See `inverse.parameters`; of a field `friction_deg`, `velocity_x`, ..., `thickness`, or one of these of
+    """See `inverse.parameters`; for a field `friction_deg`, `velocity_x`, ..., `thickness`, or one of these of
     `masses[I]`, or `solids[I].friction`."""
     lower: float | None = None
-    """Smallest value allowed; of a velocity field both bounds or none."""
+    """Smallest value allowed; a velocity field has both bounds or none."""
     upper: float | None = None
     """Largest value allowed."""
     initial: float | None = None
-    """Of a number: where a search starts; with a prior its median where absent."""
+    """For a number: start of the search; default with a prior: its median."""
     prior: Prior | None = None
-    """Of a number, cut off at its bounds; uniform where absent."""
+    """For a number: its prior, truncated at the bounds; default: uniform."""
     spacing: Annotated[tuple[float, ...] | None, LENGTHS] = None
-    """Of a field: distance between nodes along each axis, in plan along x and z [m], at most; over a shorter body it is
-    constant."""
+    """For a field: largest distance between nodes along each axis, in plan along x and z [m]; over a shorter body the
+    field is constant."""
     zones: str | None = None
-    """Of the friction of a terrain, in place of nodes: a raster of the numbers of zones, which have a value each."""
+    """For the friction of a terrain, instead of nodes: a raster of zone numbers; each zone has one value."""
     mean: Annotated[float | None, Bounds("a finite value")] = None
-    """Of a field: of its prior, everywhere [deg, m/s, m or -]."""
+    """For a field: mean of its prior, the same everywhere [deg, m/s, m or -]."""
     deviation: Annotated[float | None, Bounds("a standard deviation from 1e-06 to 1e+09", ge=1.0e-6)] = None
-    """Of a field: standard deviation of its prior at every node [deg, m/s, m or -]."""
+    """For a field: standard deviation of its prior at every node [deg, m/s, m or -]."""
     length: Annotated[float | tuple[float, ...] | None, LENGTHS] = None
-    """Of a field: correlation length [m], or one along each axis; at this distance the correlation is 0.14 in 2D."""
+    """For a field: correlation length [m], or one along each axis; at this distance the correlation is 0.14 in 2D."""
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError, which names the key, for one that `scene` has not, or whose keys do not go together."""
+        """Raise InputError, which names the key, if `scene` has no such parameter or keys do not go together."""
         of_zones, of_number = ("mean", "deviation"), ("initial", "prior")
         of_field, apart = (*of_zones, "length"), ("spacing", "length")
         needed = of_zones if self.zones is not None else of_field if self.is_field else ("lower", "upper")
@@ -136,7 +136,7 @@ class Parameter(Record):
 
     @cached_property
     def kind(self) -> Kind:
-        """What the name of a number stands for. Raises InputError."""
+        """The kind of a number, by its name. Raises InputError."""
         return kind(self.name)
 
     @property
@@ -146,7 +146,7 @@ class Parameter(Record):
 
     @property
     def start(self) -> float:
-        """Where the search for a number starts."""
+        """Start of the search for a number."""
         return float(self.marginal.at(np.array(0.5))) if self.initial is None else self.initial
 
     @cached_property
@@ -161,17 +161,17 @@ class Parameter(Record):
 
     @property
     def quantity(self) -> str:
-        """Of a field: what varies, a quantity of `datasets.scene.grid_field.Field`, or the `friction` of a terrain."""
+        """The quantity of a field: one of `datasets.scene.grid_field.Field`, or the `friction` of a terrain."""
         return self.name.split(".")[-1]
 
     @property
     def mass(self) -> int | None:
-        """Of a field: the index of the mass that has it; None for all."""
+        """For a field: the index of its mass; None for all masses."""
         return self._index_of("masses")
 
     @property
     def solid(self) -> int | None:
-        """Of a field: the index of the terrain that has it; None of one over the particles."""
+        """For a field: the index of its terrain; None for a field over particles."""
         return self._index_of("solids")
 
     def _index_of(self, group: str) -> int | None:
@@ -180,7 +180,7 @@ class Parameter(Record):
 
 
 def changed_material(scene: Scene, name: str) -> tuple[str, Material] | None:
-    """The material of `scene` whose angle of friction the parameter `name` is, and its key; None for another number."""
+    """Key and material of `scene` whose friction angle is the parameter `name`; None for another number."""
     match = re.fullmatch(r"(?:masses\[(\d{1,6})\]\.)?(residual_)?friction(_limit)?_deg", name)
     if match is None:
         return None
@@ -190,9 +190,9 @@ def changed_material(scene: Scene, name: str) -> tuple[str, Material] | None:
 
 
 def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str) -> None:
-    """Raise InputError for parameters that the scene has not, or with bounds at which it could not be simulated.
+    """Raise InputError for parameters that the scene does not have, or whose bounds give an invalid scene.
 
-    parameters: by their keys; key: of all together.
+    parameters: key -> parameter; key: that of all together.
     """
     names = [parameter.name for parameter in parameters.values()]
     for place, parameter in parameters.items():
@@ -212,7 +212,7 @@ def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str
         try:
             check_scene(scene, together, values, key)
         except InputError as error:
-            # One bound by itself, if there is such a one, says more.
+            # If a single bound causes the error, name only that one.
             for row, (place, parameter) in enumerate(numbers.items()):
                 for name, bound in zip(("lower", "upper"), parameter.bounds, strict=True):
                     alone = [*initial[:row], bound, *initial[row + 1 :]]

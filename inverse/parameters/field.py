@@ -3,8 +3,8 @@
     f = T(u + m),    u Gaussian of mean 0
     T(z) = lower + (upper - lower) / (1 + exp(-z))    with bounds, else T(z) = z
 
-The stated mean is the median of f, and its band of 95 % 1.96 times the stated deviation to either side on average:
-everywhere the standard deviation of a field stands for this width. The prior of u is smooth:
+The stated mean is the median of f. Its 95 % band extends on average by 1.96 times the stated deviation to either side:
+the standard deviation of a field always means this width over 1.96. The prior of u is smooth:
 
     (1 - sum_a s_a^2 d^2/dx_a^2) u = white noise,    s_a = length_a / sqrt(8 nu),    nu = 2 - D / 2
 
@@ -17,8 +17,8 @@ fields and Gaussian Markov random fields, J. R. Stat. Soc. B 73 (2011) 423-498),
 
     K = M + sum_a s_a^2 G_a,    covariance K^-1 M K^-1 = A A^T,    A = K^-1 M^(1/2)
 
-with M the mass and G_a the stiffness along axis a: a field from white noise w, u = S A w, is one sparse solution. The
-operator continues by a correlation length beyond the field; S takes its nodes and scales each to the stated deviation.
+with M the mass and G_a the stiffness along axis a. A field from white noise w, u = S A w, needs one sparse solution.
+The operator extends a correlation length beyond the field; S selects its nodes and scales each to the stated deviation.
 """
 
 from dataclasses import replace
@@ -48,11 +48,11 @@ if TYPE_CHECKING:
 
 
 NODES_PER_LENGTH = 2.0
-"""Correlation length over the spacing of the nodes, at least: with fewer the covariance is not the stated one."""
+"""Smallest correlation length over the node spacing: below it the covariance is not the stated one."""
 BAND = 1.959963984540054  # half-width of a band of 95 %, in standard deviations of a normal distribution
-MOST = 0.9  # width of the prior's band over the distance of the bounds, at most
+MOST = 0.9  # largest width of the prior's band over the distance of the bounds
 WIDEST = 100.0  # deviation of u with which every band is as wide as its bounds
-BYTES = 24  # of each node and right-hand neighbour: it, its solution and their squares
+BYTES = 24  # for each node and right-hand side: the side, its solution and their squares
 BED = "friction"  # what varies over a terrain: the last part of `solids[0].friction`
 UNITS = {FRICTION: "deg", THICKNESS: "m", BED: ""} | dict.fromkeys(VELOCITIES, "m/s")
 LABELS = {FRICTION: "friction", THICKNESS: "thickness", BED: "friction of the bed"}
@@ -62,18 +62,18 @@ BOUNDED |= {BED: "coefficient, of at least 0"}
 """Quantities that are impossible beyond some values."""
 MOST_ZONES = 1000
 DIGITS, UNEVEN = 9, 1.0e-7
-"""Decimals of a coefficient at the posts of a terrain; how much more one post has where all would have the same."""
+"""Decimals of a coefficient at the posts of a terrain; increment of one post if all would have the same value."""
 
 
 class UnknownField:
     """One unknown field over the masses or the terrain of a scene; K values, W numbers of the prior.
 
-    Values stand at the nodes of a grid: over the particles, of a thickness and of the friction of a terrain in plan; or
+    Values are given at the nodes of a grid over the particles, in plan for a thickness or the friction of a terrain, or
     one for each zone of a terrain. Raises InputError.
     """
 
     def __init__(self, settings: Parameter, scene: Scene, folder: Path = Path()) -> None:
-        """folder: where the path of a raster of zones begins."""
+        """folder: to which the path of a raster of zones is relative."""
         self.settings, self.in_plan = settings, settings.quantity in (THICKNESS, BED)
         spacing, lengths, self.mean, deviation = checked(settings, scene)
         self.zones = None if settings.zones is None else Zones(folder / settings.zones, scene)
@@ -91,17 +91,17 @@ class UnknownField:
             self.offset = float(logit((self.mean - low) / (high - low)))
             stated = deviation
             ends = [self.deviation(np.zeros(1), width)[0] for width in (1e-9, WIDEST)]
-            # Close beside a bound rounding leaves no band.
+            # Close to a bound, rounding leaves no band.
             require(ends[0] < stated < ends[1], "deviation", f"one from {ends[0]:.3g} to {ends[1]:.3g}", stated)
             deviation = brentq(lambda width: self.deviation(np.zeros(1), width)[0] - stated, 1e-9, WIDEST)
         independent = self.zones is not None
         self.prior = ZonePrior(self.grid, deviation) if independent else FieldPrior(self.grid, deviation, lengths)
         beside = self.weights(self.posts(scene) if settings.solid is not None else self.places(scene))
         self.inside: NDArray[np.bool_] = np.asarray(abs(beside).sum(axis=0)).ravel() > 0.0
-        """Which nodes some particle lies beside or, of a terrain, some post in the box; shape [K]."""
+        """Which nodes have a particle next to them or, on a terrain, a post in the box; shape [K]."""
 
     def laid(self, scene: Scene, step: Floats) -> Grid:
-        """Its nodes: over the masses that have it or, on a terrain, over the box, `step` [m] apart at most."""
+        """Its nodes, at most `step` [m] apart, over its masses or, on a terrain, over the box."""
         masses = scene.masses if self.settings.mass is None else (scene.masses[self.settings.mass],)
         lower = np.min([mass.lower for mass in masses], axis=0)
         upper = np.max([np.add(mass.lower, mass.size) for mass in masses], axis=0)
@@ -133,12 +133,12 @@ class UnknownField:
 
     @property
     def median(self) -> Floats:
-        """Of its prior, shape [K]."""
+        """Median of its prior, shape [K]."""
         return self.values(np.zeros(self.grid.count))
 
     @property
     def unit(self) -> str:
-        """Of its values; empty of a coefficient."""
+        """Unit of its values; empty for a coefficient."""
         return UNITS[self.settings.quantity]
 
     @property
@@ -161,12 +161,12 @@ class UnknownField:
         return np.asarray((high - low) * share * (1.0 - share))
 
     def deviation(self, latent: Floats, width: Floats | float) -> Floats:
-        """Standard deviation of f where u is normal about `latent` [K] with deviation `width` [K]: that of its band."""
+        """Standard deviation of f, from its band, if u is normal about `latent` [K] with deviation `width` [K]."""
         ends = [self.values(latent + sign * BAND * width) for sign in (1.0, -1.0)]
         return np.asarray((ends[0] - ends[1]) / (2.0 * BAND))
 
     def weights(self, places: Floats) -> Any:
-        """Sparse matrix [N, K] by which values become those at `places` [m], [N, D], in plan [N, D - 1]."""
+        """Sparse matrix [N, K] that maps values to `places` [m], [N, D], in plan [N, D - 1]."""
         return self.grid.weights(places) if self.zones is None else self.zones.weights(places)
 
     def posts(self, scene: Scene) -> Floats:
@@ -178,7 +178,7 @@ class UnknownField:
         return np.stack(axes, axis=-1).reshape(-1, 2)
 
     def places(self, scene: Scene) -> Floats:
-        """Where the particles that have it take their values [m], shape [n, D], in plan [n, D - 1]."""
+        """Places at which its particles take their values [m], shape [n, D], in plan [n, D - 1]."""
         if self.settings.quantity != THICKNESS:
             particles = initial_particles(scene)
             places = particles.positions[self.of(particles.mass)]
@@ -187,17 +187,17 @@ class UnknownField:
         return np.concatenate([filling(scene, mass).lattice[:, ::2] for mass in masses])
 
     def of(self, mass: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Which particles have it, by the masses that they belong to, both [N]."""
+        """Which particles have the field, from the index of their mass, both [N]."""
         return np.full(len(mass), True) if self.settings.mass is None else mass == self.settings.mass
 
     def put(self, scene: Scene, values: Floats) -> Scene:
-        """The scene with `values` [K] of it. Raises InputError."""
+        """The scene with `values` [K] of the field. Raises InputError."""
         settings, grid = self.settings, self.grid
         if settings.solid is not None:
             solids = list(scene.solids)
             shape = np.array(solids[settings.solid].heights).shape
             rows = np.round(self.weights(self.posts(scene)) @ values, DIGITS).reshape(shape)
-            # One friction of all posts is one number to the solver, of which there is one derivative.
+            # For equal friction at all posts the solver would use one number, with one derivative.
             rows[0, 0] += UNEVEN if np.ptp(rows) == 0.0 else 0.0
             solids[settings.solid] = replace(solids[settings.solid], friction=tuple(map(tuple, rows.tolist())))
             return replace(scene, solids=tuple(solids))
@@ -207,7 +207,7 @@ class UnknownField:
         return replace(scene, fields=(*others, field))
 
     def truth(self, scene: Scene) -> Floats | None:
-        """What `scene` itself has of it at the nodes, of a zone the mean over its posts, [K]; None without any."""
+        """The field of `scene` itself at the nodes, for a zone the mean over its posts, [K]; None without a field."""
         settings = self.settings
         if settings.solid is None:
             of_this = settings.quantity, settings.mass
@@ -222,10 +222,10 @@ class UnknownField:
     def at_nodes(
         self, gradient: "Gradient", values: Floats, explicit: Floats, slopes_by_name: dict[str, Any]
     ) -> Floats:
-        """dJ/df [K] at `values` [K] from the gradient with respect to what a run begins with.
+        """dJ/df [K] at `values` [K], from the gradient with respect to a run's initial state.
 
-        explicit: derivatives of J with respect to the volumes of the particles where it sees them itself, [N];
-        slopes_by_name: what of this run is the same for every J, by the names of fields.
+        explicit: derivatives of J with respect to the particles' volumes, if it depends on them directly, [N];
+        slopes_by_name: field name -> the part of this run that is the same for every J.
         """
         scene, settings, particles = gradient.scene, self.settings, gradient.particles
         if not self.in_plan:
@@ -234,7 +234,7 @@ class UnknownField:
                 slopes_by_name[settings.name] = [self.grid.weights(places), *self.grid.slopes(places)]
             derivatives = [gradient.material(FRICTION)]
             if settings.quantity != FRICTION:
-                # The affine motion of the particles is that of the field, too.
+                # The field also sets the affine motion of the particles.
                 axis = VELOCITIES.index(settings.quantity)
                 derivatives = [gradient.velocities[:, axis], *gradient.velocity_gradients[:, axis].T]
             pairs = zip(slopes_by_name[settings.name], derivatives, strict=False)
@@ -248,7 +248,7 @@ class UnknownField:
             slopes_by_name[settings.name] = gradient.slopes(scene_at, 0.0)
         shares, posts = gradient.shared(slopes_by_name[settings.name])
         if relative:
-            # Volumes and heights above the ground are in proportion to the thickness.
+            # Volumes and heights above the ground are proportional to the thickness.
             weights, here = self.weights(places), self.of(particles.mass)
             nodes = weights.T @ ((shares + explicit * particles.volume)[here] / (weights @ values))
         else:
@@ -258,9 +258,9 @@ class UnknownField:
         return np.asarray(nodes)
 
     def at_posts(self, scene: Scene) -> Floats:
-        """Shares of the values in the friction at each post of the ground, beyond the box too, shape [X, Z, K]."""
+        """Shares of the values in the friction at each post of the ground, also beyond the box, shape [X, Z, K]."""
         solid, weights = scene.solids[self.settings.solid or 0], self.weights(self.posts(scene)).toarray()
-        # Where the ground has a post from: numbers of posts in place of their friction.
+        # The index of each post, passed instead of its friction, shows where the ground takes it from.
         numbers = np.arange(len(weights)).reshape(np.array(solid.heights).shape)
         numbered = replace(solid, friction=tuple(map(tuple, numbers.astype(float).tolist())))
         return np.asarray(weights[ground_grid(numbered, "solids", scene.domain)[2].astype(int)])
@@ -275,14 +275,14 @@ class Zones:
     """Zones of a terrain, by a raster of their numbers. Raises InputError."""
 
     def __init__(self, path: Path, scene: Scene) -> None:
-        # Half a second, which problems without rasters do not wait.
+        # Imported here: it takes half a second, which problems without rasters do not need.
         from datasets.exchange.rasters import read_raster, same_system
         from datasets.maps import map_corner
 
         raster, (corner, crs) = read_raster(path, coefficients=True), map_corner(scene)
         self.axes = [axis - low for axis, low in zip((raster.x, raster.z), corner, strict=True)]
         self.numbers, which = np.unique(raster.values, return_inverse=True)
-        """Of the zones, ascending, shape [K]."""
+        """Numbers of the zones, ascending, shape [K]."""
         with naming(path):
             require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
             whole = bool(np.isfinite(self.numbers).all() and (self.numbers == np.round(self.numbers)).all())
@@ -291,7 +291,7 @@ class Zones:
         self.which = which.reshape(raster.values.shape)
 
     def weights(self, plan: Floats) -> Any:
-        """1 for the zone of the nearest cell of the raster to each place [m], [N, 2]; sparse [N, K]."""
+        """Sparse [N, K]: 1 for the zone of the raster cell nearest to each place [m], [N, 2]."""
         columns = zip(plan.T, self.axes, strict=True)
         steps = [(np.rint((places - axis[0]) / (axis[1] - axis[0])), len(axis) - 1) for places, axis in columns]
         nearest = tuple(np.clip(step, 0, last).astype(int) for step, last in steps)
@@ -337,7 +337,7 @@ def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple
 
 
 def check_bed(settings: Parameter, scene: Scene) -> None:
-    """Raise InputError where the friction of a terrain cannot be a field."""
+    """Raise InputError if the friction of a terrain cannot be a field."""
     index, count = settings.solid or 0, len(scene.solids)
     require(settings.name == f"solids[{index}].friction", "name", f"solids[{index}].friction", repr(settings.name))
     require(index < count, "name", f"an index below {count}, the number of solids in the scene", index)
@@ -348,6 +348,6 @@ def check_bed(settings: Parameter, scene: Scene) -> None:
 
 
 def check_size(key: str, nodes: Floats) -> None:
-    """Raise InputError where a field with so many nodes along each axis, those beyond it included, fits no memory."""
+    """Raise InputError if a field with `nodes` along each axis, including those beyond it, exceeds the memory."""
     count = float(np.prod(nodes))
     require_memory(BYTES * COLUMNS * count, "an unknown field", f"{count:.3g} nodes are too many", key=key)

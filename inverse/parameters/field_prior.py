@@ -12,11 +12,11 @@ from scipy.sparse.linalg import splu
 
 from datasets.scene.grid_field import Floats, Grid
 
-COLUMNS = 256  # right-hand neighbours that are solved for at a time
+COLUMNS = 256  # right-hand sides that are solved for at a time
 
 
 class ZonePrior:
-    """Independent normal values of mean 0, one for each of K zones: as `FieldPrior`, with W = K."""
+    """Independent normal values of mean 0, one for each of K zones: like `FieldPrior` with W = K."""
 
     def __init__(self, grid: Grid, deviation: float) -> None:
         self.deviation, self.size = deviation, grid.count
@@ -32,7 +32,7 @@ class FieldPrior:
     """A Gaussian field of mean 0 on the K nodes of a grid, as a linear function of W independent normal numbers."""
 
     def __init__(self, grid: Grid, deviation: float, lengths: Sequence[float]) -> None:
-        """deviation: standard deviation at every node; lengths: of correlation along each axis [m]."""
+        """deviation: standard deviation at every node; lengths: correlation lengths along each axis [m]."""
         self.grid, self.deviation = grid, deviation
         # Along an axis with one node the field does not vary.
         dimension = sum(count > 1 for count in grid.nodes)
@@ -50,7 +50,7 @@ class FieldPrior:
         self.factor = splu(self.operator)
         inner = [slice(margin, margin + count) for margin, count in zip(margins, grid.nodes, strict=True)]
         self.inner: NDArray[np.int64] = np.arange(math.prod(shape)).reshape(shape)[tuple(inner)].ravel()
-        """The nodes of the field among those of the operator, shape [K]."""
+        """Indices of the field's nodes among those of the operator, shape [K]."""
 
     @property
     def size(self) -> int:
@@ -58,7 +58,7 @@ class FieldPrior:
 
     @cached_property
     def scale(self) -> Floats:
-        """Of S: the stated deviation over that of A w at each node, shape [K]."""
+        """Diagonal of S: the stated deviation over that of A w at each node, shape [K]."""
         factors = np.empty(self.grid.count)
         for first in range(0, len(factors), COLUMNS):
             nodes = self.inner[first : first + COLUMNS]
@@ -75,7 +75,7 @@ class FieldPrior:
         return np.asarray(values.reshape(-1, *white.shape[1:]))
 
     def white(self, adjoint: Floats) -> Floats:
-        """The transpose of `field`: derivatives with respect to w [W, ...] of those with respect to u [K, ...]."""
+        """The transpose of `field`: derivatives with respect to w [W, ...] from those with respect to u [K, ...]."""
         flat = adjoint.reshape(self.grid.count, -1)
         full = np.zeros((self.size, flat.shape[1]))
         full[self.inner] = flat * self.scale[:, None]
@@ -84,7 +84,7 @@ class FieldPrior:
 
 
 def lumped_mass(count: int, step: float) -> Any:
-    """Of linear elements along a line, half of one at its ends; sparse."""
+    """Sparse lumped mass of linear elements along a line, half an element at its ends."""
     lengths = np.full(count, step)
     if count > 1:
         lengths[[0, -1]] *= 0.5
@@ -92,6 +92,6 @@ def lumped_mass(count: int, step: float) -> Any:
 
 
 def stiffness(count: int, step: float) -> Any:
-    """int phi_i' phi_j' of linear elements along a line; sparse."""
+    """Sparse matrix int phi_i' phi_j' of linear elements along a line."""
     slopes = sparse.diags_array([-np.ones(count - 1), np.ones(count - 1)], offsets=[0, 1], shape=(count - 1, count))
     return slopes.T @ slopes / step

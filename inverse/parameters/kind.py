@@ -1,6 +1,6 @@
-"""Kinds of numbers that can be unknown: where each stands in a scene, how it is read and set, and its unit.
+"""Kinds of numbers that can be unknown: their place in a scene, how they are read and set, and their units.
 
-The functions `with_...` enter a number into the surrogate: an initial state with a value, differentiable in it.
+The functions `with_...` put a number into the surrogate's initial state, differentiably.
 """
 
 import math
@@ -24,44 +24,44 @@ Vector = NDArray[np.float64]
 """One value per parameter, in the order of the problem and the units of the names; shape [U]."""
 
 Draft = SimpleNamespace
-"""The fields of a scene while parameters change one after another: the scene that they make is checked once."""
+"""The fields of a scene while parameters change one after another, so that the scene is checked only once."""
 Input = Callable[[Any, InitialState, Tensor], InitialState]
-"""A kind, an initial state and a value -> the initial state with this value, differentiable in it."""
+"""A kind, an initial state and a value -> the initial state with that value, differentiable in it."""
 T = TypeVar("T", float, Tensor)
 UP = 1
 WITHOUT = dict.fromkeys(("permeability", "consolidation"), "its water does not flow")
 WITHOUT |= {"softening_length": "it never falls to a residual strength"}
 WITHOUT |= {"friction_limit_deg": "its friction does not grow with the rate"}
-"""What a material does without a constant that another one requires."""
+"""Constant -> behaviour of a material without it, if another constant requires it."""
 INSTEAD = {"permeability": "consolidation", "consolidation": "permeability"}
-"""Which constant a material may state in place of another one."""
+"""Constant -> the constant that a material may state instead."""
 OWNERS = {"thickness": "a mass of kind layer", "discharge_factor": "an inflow"}
 OWNERS |= dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
-"""What has an attribute; other attributes are those of surfaces."""
+"""Attribute -> its owner; other attributes belong to surfaces."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
     """A number of a scene or of one of its masses, baffles and solids: how its value enters both forward models."""
 
-    form: str  # its name, with `[]` in place of an index
-    unit: str  # as it is printed
-    digits: int  # decimals with which it is printed
-    index: int | None = None  # of the mass, baffle or solid; None of the scene as a whole
-    attribute: str = ""  # what holds it; the last part of its name where absent
-    axis: int | None = None  # of an attribute that is a vector: which of its components
+    form: str  # its name, with `[]` instead of an index
+    unit: str  # printed unit
+    digits: int  # printed decimals
+    index: int | None = None  # of the mass, baffle or solid; None for the scene as a whole
+    attribute: str = ""  # attribute that holds it; default: the last part of its name
+    axis: int | None = None  # component, if the attribute is a vector
     positive: bool = True
-    """Whether it is a quantity with a zero of its own and no sign, so that an error can be compared with the value."""
-    changes_volume: bool = False  # whether more or less material is released with it
+    """Whether it is a quantity with a natural zero and no sign, so that an error can be compared with the value."""
+    changes_volume: bool = False  # whether it changes the released volume
     order: int = 2
-    """Parameters are set in ascending order: shared constants (0), then those of a mass, which take precedence (2), and
-    each time residual strengths last (1, 3), because the cohesion of their material scales them."""
-    requires: str = ""  # of a constant of a material: another, without which it has no effect
-    input: Input | None = None  # how it enters the surrogate; None of what is no input of it
+    """Parameters are set in ascending order: shared constants (0), then those of a mass, which take precedence (2);
+    residual strengths come last in each group (1, 3), because the cohesion of their material scales them."""
+    requires: str = ""  # for a constant of a material: another constant, without which it has no effect
+    input: Input | None = None  # how it enters the surrogate; None if it is no input
 
     @property
     def group(self) -> str:
-        """`masses`, `baffles`, `solids`; empty of the scene as a whole."""
+        """`masses`, `baffles`, `solids`; empty for the scene as a whole."""
         return self.form.split("[]")[0] if "[]" in self.form else ""
 
     @property
@@ -70,18 +70,18 @@ class Kind:
 
     @property
     def predicted(self) -> bool:
-        """Whether the surrogate knows flows with other values of it: it is an input, or it makes other particles."""
+        """Whether the surrogate predicts flows with other values: it is an input, or it changes the particles."""
         return self.input is not None or self.changes_volume
 
     def text(self, value: float) -> str:
         return f"{self.digit_text(value)} {self.unit}".removesuffix(" -")
 
     def digit_text(self, value: float) -> str:
-        """Without its unit: with `digits` decimals, or three figures where these would leave fewer than two."""
+        """The value without unit: with `digits` decimals, or with three figures if these would leave fewer than two."""
         return f"{value:.3g}" if 0.0 < abs(value) < 10.0 ** (1 - self.digits) else f"{value:z.{self.digits}f}"
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError where `scene` has no such number."""
+        """Raise InputError if `scene` has no such number."""
         if self.index is not None and self.index >= (count := len(getattr(scene, self.group))):
             got = f"the number of {self.group} in the scene, got {self.index}"
             raise InputError(f"expected an index below {count}, {got}")
@@ -97,7 +97,7 @@ class Kind:
             raise InputError(f"expected {owner} whose {self.key} is a number in the scene, its own is none")
 
     def idle(self, scene: Scene) -> str:
-        """Why the flow of `scene` does not depend on it, in words; empty where it does."""
+        """Why the flow of `scene` does not depend on it, in words; empty if it does."""
         if self.form == "baffle_friction" and not scene.baffles:
             return "there are no baffles"
         if self.form == "baffle_friction" and all(baffle.friction is not None for baffle in scene.baffles):
@@ -127,7 +127,7 @@ class Kind:
         return float(current if self.axis is None else current[self.axis])
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
-        """What of the scene, mass, baffle or solid that has it changes with this value."""
+        """The changes of its scene, mass, baffle or solid with this value."""
         return {self.key: self.vector(getattr(self.holder(draft), self.key), value)}
 
     def vector(self, components: Any, value: float) -> Any:
@@ -139,7 +139,7 @@ class Kind:
         return self.value(self.holder(scene))
 
     def put(self, draft: Draft, value: float) -> None:
-        """Set this value: how it enters the MPM. Use `with_parameters`."""
+        """Set this value in the scene of the MPM. Use `with_parameters`."""
         changes = self.changes(draft, value)
         if self.index is None:
             vars(draft).update(changes)
@@ -176,7 +176,7 @@ class PartNumber(Kind):
 
 
 class Clock(Kind):
-    """By how much the clock of the observations starts after the flow [s]; the flow itself has none."""
+    """Delay of the observations' clock after the start of the flow [s]; the flow does not depend on it."""
 
     def read(self, scene: Scene) -> float:
         return 0.0
@@ -186,7 +186,7 @@ class Clock(Kind):
 
 
 class Constant(Kind):
-    """A constant of the material of a mass, or of the shared one."""
+    """A constant of the material of a mass, or of the shared material."""
 
     def check(self, scene: Scene) -> None:
         super().check(scene)
@@ -216,7 +216,7 @@ class Cohesion(Constant):
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
         material = self.material(draft)
-        # Where there is no cohesion there is no ratio: cutoff and residual values stay as well.
+        # Without cohesion there is no ratio, and cutoff and residual values are unchanged.
         ratio = value / material.cohesion if material.cohesion > 0.0 else 1.0
         keys = ("tension_cutoff", "residual_cohesion", "residual_tension_cutoff")
         strengths = {key: getattr(material, key) for key in keys}
@@ -228,7 +228,7 @@ class Residual(Constant):
     """A residual strength: friction angle [deg] or cohesion [Pa] after a long slip."""
 
     def value(self, holder: Any) -> float:
-        # Unless they are named, residual values are those of the peak.
+        # By default, residual values equal the peak values.
         residual = getattr(holder, self.key)
         return float(getattr(holder, self.key.removeprefix("residual_")) if residual is None else residual)
 
@@ -259,14 +259,14 @@ class Centre(Extent):
 
 
 def with_friction(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
-    """Angle of friction [deg], an input as tan(phi) (`datasets.scene.material`: which angle)."""
+    """Friction angle [deg], which enters as tan(phi) (`datasets.scene.material` explains which angle)."""
     current, tangent = initial.conditions.friction, tangent_of(kind.material(initial.scene), value)
     friction = torch.where(initial.of_mass(kind.index), tangent.to(current.dtype), current)
     return initial.with_conditions(friction=friction)
 
 
 def tangent_of(material: Material, angle_deg: Tensor) -> Tensor:
-    """tan(phi) [-] of angles of friction [deg] that are measured as those of `material`, of the same shape."""
+    """tan(phi) [-] of friction angles [deg] measured like those of `material`, of the same shape."""
     tangent = torch.tan(torch.deg2rad(angle_deg))
     if material.angle == "slope":
         sine = sine_of_slope(tangent, math.radians(material.dilation_deg))
@@ -275,14 +275,14 @@ def tangent_of(material: Material, angle_deg: Tensor) -> Tensor:
 
 
 def with_cohesion(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
-    """Cohesion at the top [Pa]; its growth with depth stays."""
+    """Cohesion at the top [Pa]; its increase with depth is unchanged."""
     current, material = initial.conditions.cohesion, kind.material(initial.scene)
     changed = current + (value - material.cohesion).to(current.dtype)
     return initial.with_conditions(cohesion=torch.where(initial.of_mass(kind.index), changed, current))
 
 
 def with_velocity(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
-    """Initial velocity of a mass [m/s]: its particles' history is as if they had always moved with it."""
+    """Initial velocity of a mass [m/s]; its particles' history is that of a constant velocity."""
     state = initial.state
     along = torch.arange(state.positions.shape[1]) == kind.axis
     mask = initial.of_mass(kind.index).unsqueeze(1) & along
@@ -303,7 +303,7 @@ def with_baffle(kind: Extent, initial: InitialState, value: Tensor) -> InitialSt
 
 
 def with_baffle_friction(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
-    """Friction of the baffles that have none of their own [-]."""
+    """Friction of the baffles without their own [-]."""
     current = initial.conditions.baffle_friction
     assert current is not None, "the scene has baffles, and so has the model"
     shared = torch.tensor([baffle.friction is None for baffle in initial.scene.baffles])
@@ -317,12 +317,12 @@ def with_constant(kind: Kind, initial: InitialState, value: Tensor) -> InitialSt
 
 
 def with_floor_friction(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
-    """Friction of the floor [-], also where it is the ground beside terrain."""
+    """Friction of the floor [-], including floor beside terrain."""
     return with_ground_friction(kind, with_constant(kind, initial, value), value)
 
 
 def with_ground_friction(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
-    """Friction where the ground is the terrain of this index, without an index the floor [-]."""
+    """Friction of the ground [-] that is the terrain of this index or, without an index, the floor."""
     ground = initial.conditions.ground
     if ground is None:
         return initial
@@ -373,4 +373,4 @@ KINDS: dict[str, Kind] = {
         Kind(form="solids[].turbulence", unit="m/s^2", digits=1),
     )
 }
-"""Every kind by its name, with `[]` in place of an index."""
+"""Name, with `[]` instead of an index -> kind."""

@@ -1,11 +1,11 @@
-"""Priors of numbers as people state them: a distribution each, cut off at the bounds, and correlations of pairs.
+"""Stated priors of numbers: a distribution for each, truncated at the bounds, and correlations of pairs.
 
 A distribution function F between bounds a and b becomes F*(x) = (F(x) - F(a)) / (F(b) - F(a)), of density f*. Pairs
 are correlated by their normal scores z = Phi^-1(F*(x)), a Gaussian copula,
 
     p(x) = phi(z; R) prod_i f*_i(x_i) / phi(z_i)
 
-with R of the stated coefficients: correlations of z, of x they are a little smaller (Liu & Der Kiureghian, Multivariate
+with R of the stated coefficients: correlations of z; those of x are slightly lower (Liu & Der Kiureghian, Multivariate
 distribution models with prescribed marginals and covariances, Probab. Eng. Mech. 1 (1986) 105-112; after Nataf).
 """
 
@@ -24,16 +24,16 @@ from datasets.schema import Bounds, Record
 from inverse.posterior import Matrix
 
 KINDS = {"uniform": (), "normal": ("mean", "deviation"), "lognormal": ("mean", "deviation"), "triangular": ("mode",)}
-"""Kinds of priors, and the keys that each has."""
-LEAST_MASS = 1e-6  # probability between the bounds, at least: below it the stated prior contradicts them
+"""Kind of a prior -> its keys."""
+LEAST_MASS = 1e-6  # smallest probability between the bounds: below it the stated prior contradicts them
 LOWEST = -1e6  # logarithm of a density of 0
-LEAST_SHARE = 1e-15  # distance of a share from 0 and 1, at least: normal scores up to 8
-CREDIBLE = 0.95  # of the interval that says how wide a prior is
+LEAST_SHARE = 1e-15  # smallest distance of a share from 0 and 1: normal scores up to 8
+CREDIBLE = 0.95  # probability of the interval that defines the width of a prior
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prior(Record):
-    """The prior of a number before it is cut off at the bounds.
+    """The prior of a number before truncation at the bounds.
 
     >>> Parameter(name="friction_deg", lower=16.0, upper=45.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
     """
@@ -41,14 +41,14 @@ class Prior(Record):
     kind: str
     """A key of `KINDS`."""
     mean: float | None = None
-    """Of a normal and a lognormal number itself."""
+    """Mean of a normal or lognormal number (not of its logarithm)."""
     deviation: Annotated[float | None, Bounds("a value above 0", gt=0.0, le=math.inf)] = None
-    """Standard deviation of the same."""
+    """Standard deviation of the number."""
     mode: float | None = None
-    """Of a triangular one, whose density falls to 0 at both bounds."""
+    """Mode of a triangular prior, whose density falls to 0 at both bounds."""
 
     def check(self, lower: float, upper: float) -> None:
-        """Raise InputError, which names the key, for a prior that is none between the bounds."""
+        """Raise InputError, which names the key, for a prior that is invalid between the bounds."""
         require(self.kind in KINDS, "kind", f"one of {', '.join(KINDS)}", repr(self.kind))
         for name in ("mean", "deviation", "mode"):
             value, needed = getattr(self, name), name in KINDS[self.kind]
@@ -64,7 +64,7 @@ class Prior(Record):
         require(mass >= LEAST_MASS, "mean", message, f"{mass:.1g}")
 
     def law(self, lower: float, upper: float) -> Any:
-        """The distribution of SciPy; of two kinds it depends on the bounds."""
+        """The SciPy distribution, which depends on the bounds for two of the kinds."""
         mean, deviation = self.mean or 0.0, self.deviation or 0.0
         if self.kind == "normal":
             return stats.norm(mean, deviation)
@@ -77,19 +77,19 @@ class Prior(Record):
 
     @property
     def text(self) -> str:
-        """In reports."""
+        """Text for reports."""
         numbers = {"normal": f" {self.mean} ± {self.deviation}", "triangular": f" about {self.mode}"}
         return self.kind + (numbers | {"lognormal": numbers["normal"]}).get(self.kind, "")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Correlation(Record):
-    """Of the priors of two numbers (`[[correlations]]`)."""
+    """Correlation of the priors of two numbers (`[[correlations]]`)."""
 
     between: tuple[str, str]
-    """Their names."""
+    """Names of the two numbers."""
     coefficient: Annotated[float, Bounds("a value in (-1, 1)", gt=-1.0, lt=1.0)]
-    """Of their normal scores."""
+    """Correlation coefficient of their normal scores."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ class Marginal:
     """The prior of one number between its bounds."""
 
     law: Any
-    """A distribution of SciPy."""
+    """A SciPy distribution."""
     lower: float
     upper: float
 
@@ -125,7 +125,7 @@ class Marginal:
 
     @property
     def width(self) -> float:
-        """Of a uniform prior whose interval of 95 % is as long as this one's."""
+        """Width of a uniform prior with a 95 % interval of the same length."""
         low, high = self.at(np.array([0.5 - 0.5 * CREDIBLE, 0.5 + 0.5 * CREDIBLE]))
         return float(high - low) / CREDIBLE
 
@@ -134,7 +134,7 @@ class JointPrior:
     """The prior of U numbers. Points are in fractions of their ranges, densities over the uniform one."""
 
     def __init__(self, numbers: Mapping[str, Marginal], correlations: Sequence[Correlation] = ()) -> None:
-        """numbers: by name. Raises InputError, which names the key, for correlations that are none."""
+        """numbers: name -> prior. Raises InputError, which names the key, for invalid correlations."""
         self.marginals = [*numbers.values()]
         self.lower = np.array([marginal.lower for marginal in self.marginals])
         self.range = np.array([marginal.upper - marginal.lower for marginal in self.marginals])
@@ -163,7 +163,7 @@ class JointPrior:
         return np.maximum(log_density, LOWEST)
 
     def at(self, shares: Matrix) -> Matrix:
-        """Points of it for independent uniform numbers, both [..., U]."""
+        """Points of the prior for independent uniform numbers, both [..., U]."""
         scores = ndtri(np.clip(shares, LEAST_SHARE, 1.0 - LEAST_SHARE)) @ np.linalg.cholesky(self.correlation).T
         columns = zip(self.marginals, np.moveaxis(scores, -1, 0), strict=True)
         values = np.stack([marginal.at(ndtr(column)) for marginal, column in columns], axis=-1)
@@ -171,16 +171,16 @@ class JointPrior:
 
     @cached_property
     def filling(self) -> Matrix:
-        """Points that stand for it, shape [1024, U]."""
+        """Points that represent the prior, shape [1024, U]."""
         return self.at(stats.qmc.Sobol(len(self.range), seed=0).random(1024))
 
     @cached_property
     def precision(self) -> Matrix:
-        """Inverse of its covariance, shape [U, U]: half the curvature of -2 ln p, where it is normal."""
+        """Inverse of its covariance, shape [U, U]: half the curvature of -2 ln p for a normal prior."""
         return np.linalg.inv(np.atleast_2d(np.cov(self.filling.T)))
 
     def slope(self, points: Matrix) -> Matrix:
-        """Derivatives of its logarithm at points [S, U], by differences that stay between the bounds, shape [S, U]."""
+        """Derivatives of its log-density at points [S, U], by differences within the bounds, shape [S, U]."""
         slopes = np.zeros_like(points)
         for index, step in enumerate(1e-5 * np.eye(points.shape[1])):
             ends = np.clip(points - step, 0.0, 1.0), np.clip(points + step, 0.0, 1.0)

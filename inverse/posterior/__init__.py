@@ -1,6 +1,6 @@
-"""What the observation says of the parameters, over the whole box: an emulator of the MPM, its posterior, its answers.
+"""The posterior of the parameters over the whole box: an emulator of the MPM, samples, separate answers.
 
-Vectors of parameters are here in fractions of their ranges between the prior bounds: v in [0, 1]^U.
+Vectors of parameters are in fractions of the ranges between the prior bounds: v in [0, 1]^U.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """The answers: the separate parts of the region that holds 95 % of the posterior.
 
-The region is that of highest density. Two of its samples belong to one part where the segment between them stays in it;
-a chain of such segments makes curved parts one.
+The region is that of highest density. Two of its samples belong to one part if the segment between them stays in the
+region; a chain of such segments joins curved parts.
 """
 
 from collections.abc import Callable
@@ -16,8 +16,8 @@ from inverse.posterior import Matrix, Row
 from inverse.posterior.sampling import Samples, systematic
 from inverse.posterior.settings import CONSTANTS
 
-AT_MOST = 800  # samples of the region that are joined
-ALONG = (0.25, 0.5, 0.75)  # where along a segment the density is asked for
+AT_MOST = 800  # most samples of the region that are joined
+ALONG = (0.25, 0.5, 0.75)  # places along a segment at which the density is evaluated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,15 +25,15 @@ class Part:
     """A part of the region, in fractions of the ranges."""
 
     point: Row
-    """The answer: the median of each number; where no answer is there, the sample of the region next to it, [U]."""
+    """The answer: the median of each number; if it lies outside the region, the region's nearest sample. Shape [U]."""
     interval: Matrix
     """Quantiles of 2.5 and 97.5 % of each number over the part, shape [2, U]."""
     weight: float
     """Share of the posterior."""
     points: Matrix
-    """Samples of it, shape [S, U]."""
+    """Samples in the part, shape [S, U]."""
     threshold: float
-    """Logarithm of the likelihood above which parameters lie in it."""
+    """Log-likelihood above which parameters lie in the region."""
 
     @property
     def half_widths(self) -> Row:
@@ -46,7 +46,7 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
     index = systematic(samples.weights, min(AT_MOST, len(samples.points)), rng)
     points, density = samples.points[index], samples.log_likelihood[index]
     threshold = float(np.quantile(density, 1.0 - CONSTANTS.credible))
-    # Copies of a sample would be its only neighbours.
+    # Otherwise copies of a sample would be its only neighbours.
     points = np.unique(points[density >= threshold], axis=0)
     scale = np.maximum(points.std(axis=0), 1e-9)
     count = min(CONSTANTS.neighbours + 1, len(points))
@@ -57,7 +57,7 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
     for share in ALONG:
         between = (1.0 - share) * points[first] + share * points[second]
         lowest = np.minimum(lowest, log_likelihood(between))
-    # The density of samples is an estimate: a dip by less than a half in it is none.
+    # The density is an estimate: a dip by less than a half does not separate parts.
     joined = lowest >= threshold - np.log(2.0)
     graph = coo_array((np.ones(int(joined.sum())), (first[joined], second[joined])), shape=(len(points), len(points)))
     number, label = connected_components(graph, directed=False)

@@ -5,21 +5,21 @@
 | symbol | variable | meaning |
 |---|---|---|
 | v | `points` | parameters in fractions of their ranges, shape [n, U] |
-| y | `numbers` | what n runs of the MPM show, r components, shape [n, r] |
-| h | `trend` | 1, v, and what a surrogate predicts at v where there is one, shape [n, p] |
+| y | `numbers` | results of n MPM runs, r components, shape [n, r] |
+| h | `trend` | 1, v, and the prediction of a surrogate at v if there is one, shape [n, p] |
 | k | `correlation` | Matern's of order 5/2, with a correlation length for each parameter |
 | e | - | scatter from flow to flow with the jitter seed |
 | g | `nuggets` | its variance over that of the process |
 
-The coefficients b have a flat prior and are integrated over (Rasmussen & Williams, Gaussian processes for machine
-learning, 2006, section 2.7): with P an orthonormal basis of what is orthogonal to the trend of the runs, P^T y has the
+The coefficients b have a flat prior and are integrated out (Rasmussen & Williams, Gaussian processes for machine
+learning, 2006, section 2.7): with P an orthonormal basis of the complement of the runs' trend, P^T y has the
 restricted likelihood (Patterson & Thompson, Recovery of inter-block information when block sizes are unequal,
 Biometrika 58 (1971) 545-554)
 
     log L_j = -1/2 [ (n - p) log s_j^2 + sum_i log(l_i + g) ],    s_j^2 = 1/(n - p) sum_i (q_i . P^T y_j)^2 / (l_i + g)
 
-with l and q the eigenvalues and eigenvectors of P^T k P: one decomposition serves every component and every g, over
-which is summed. With a surrogate in the trend this is the multi-fidelity model of Kennedy & O'Hagan (Predicting the
+with l and q the eigenvalues and eigenvectors of P^T k P. One decomposition serves every component and every g, which is
+summed over. With a surrogate in the trend this is the multi-fidelity model of Kennedy & O'Hagan (Predicting the
 output from a complex computer code when fast approximations are available, Biometrika 87 (2000) 1-13).
 """
 
@@ -38,15 +38,15 @@ from inverse.posterior.settings import CONSTANTS
 
 Trend = Callable[[Matrix], Matrix]  # points [S, U] -> the trend's functions there [S, p]
 NUGGETS = np.array((1e-6, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1e4))  # g: a grid of quadrature
-NEGLIGIBLE = 1e-3  # weight of a nugget that is left out
-SHORTEST, LONGEST = 0.03, 20.0  # correlation lengths between which the likeliest is looked for, in ranges
+NEGLIGIBLE = 1e-3  # weight of a nugget below which it is left out
+SHORTEST, LONGEST = 0.03, 20.0  # bounds of the search for the likeliest correlation length, in ranges
 LENGTH_STEPS = (0.8, 0.4, 0.2, 0.1)
-"""Steps of the search for their logarithms: the smallest is a tenth, well below what runs tell of a length."""
-SAME = 1e-6  # difference of two logarithms of a likelihood that is none
+"""Steps of the search for their logarithms: the smallest is a tenth, well below the accuracy that runs allow."""
+SAME = 1e-6  # difference below which two log-likelihoods are equal
 
 
 def fewest_runs(unknowns: int) -> int:
-    """Runs at different parameters that an emulator of so many of them has at least."""
+    """Smallest number of runs at different parameters for an emulator of so many unknowns."""
     return math.ceil(CONSTANTS.runs_per_coefficient * (1 + unknowns)) + 2
 
 
@@ -56,7 +56,7 @@ def linear(points: Matrix) -> Matrix:
 
 
 def squared_distance(one: Matrix, other: Matrix, lengths: Matrix) -> Matrix:
-    """Between points [n, U] and [m, U] in units of `lengths` [U], shape [n, m]."""
+    """Squared distance between points [n, U] and [m, U] in units of `lengths` [U], shape [n, m]."""
     a, b = one / lengths, other / lengths
     return np.asarray(np.maximum((a**2).sum(1)[:, None] + (b**2).sum(1)[None] - 2.0 * a @ b.T, 0.0))
 
@@ -69,19 +69,19 @@ def correlation(one: Matrix, other: Matrix, lengths: Matrix) -> Matrix:
 
 @dataclass(frozen=True, kw_only=True)
 class Emulator:
-    """The process, given runs."""
+    """The Gaussian process, conditioned on runs."""
 
     points: Matrix
     """Shape [n, U]."""
     numbers: Matrix
     """Shape [n, r]."""
     expected_scatter: Matrix
-    """Standard deviation of each component from flow to flow, as expected before any run, shape [r]."""
+    """Expected standard deviation of each component from flow to flow, before any run, shape [r]."""
     lengths: Matrix
     """Shape [U]."""
     trend: Trend = linear
     repeats: int = 0
-    """Degrees of freedom by which repeated runs show that scatter; 0 where none are."""
+    """Degrees of freedom of that scatter from repeated runs; 0 without them."""
 
     @property
     def freedom(self) -> int:
@@ -106,13 +106,13 @@ class Emulator:
 
     @cached_property
     def _quadrature(self) -> tuple[Matrix, Matrix, float]:
-        """Weights of the nuggets [G, r], variances s^2 [G, r], and the logarithm of the likelihood of the lengths."""
+        """Weights of the nuggets [G, r], variances s^2 [G, r], and the log-likelihood of the lengths."""
         _, _, values, roots = self._decomposed
         total = values + NUGGETS[:, None]
         variance = np.maximum((1.0 / total) @ roots**2 / len(values), 1e-30)
         likelihood = -0.5 * (len(values) * np.log(variance) + np.log(total).sum(axis=1)[:, None])
         scatter = 0.5 * np.log(NUGGETS[:, None] * variance) - np.log(self.expected_scatter)
-        # That of few repeated runs is often far too small: the variance of the logarithm of a chi-square is added.
+        # The scatter of few repeated runs is often far too small, so the variance of log(chi-square) is added.
         variety = float(polygamma(1, 0.5 * self.repeats)) / 4.0 if self.repeats else 0.0
         likelihood = likelihood - 0.5 * scatter**2 / (CONSTANTS.scatter_spread**2 + variety)
         whole = logsumexp(likelihood, axis=0)
@@ -120,7 +120,7 @@ class Emulator:
 
     @property
     def log_likelihood(self) -> float:
-        """Of the correlation lengths, with their prior."""
+        """Log-likelihood of the correlation lengths, with their prior."""
         median = CONSTANTS.length_scale * np.sqrt(len(self.lengths))
         shift = np.log(self.lengths / median) / CONSTANTS.length_spread
         return self._quadrature[2] - 0.5 * float(np.sum(shift**2))
@@ -133,7 +133,7 @@ class Emulator:
         residual = self.numbers - self.mean(self.points)
         root = np.sqrt((residual**2).mean(axis=0))
         alike = np.divide(residual, root, out=np.zeros_like(residual), where=root > 0.0)
-        # Few runs say little of how many components scatter together: r^2 / 2 numbers.
+        # Few runs determine the correlations of many components poorly: these are r^2 / 2 numbers.
         share = self.freedom / (self.freedom + 0.5 * len(deviation) ** 2)
         together = share * (alike.T @ alike) / len(residual)
         np.fill_diagonal(together, 1.0)
@@ -176,7 +176,7 @@ class Emulator:
         precision = 1.0 / (values + NUGGETS[counted, None])
         unexplained = prior[:, None] + leverage[:, None] * NUGGETS[counted] - contrasts**2 @ precision.T
         spread = np.maximum(unexplained, 0.0) @ (weights * variance)[counted]
-        # The nuggets disagree about the mean as well.
+        # The variance includes the differences between the means of different nuggets.
         for index, row in zip(counted, precision, strict=True):
             spread += weights[index] * (contrasts @ (row[:, None] * roots - self._weights)) ** 2
         return np.asarray(functions @ fitted_trend + contrasts @ self._weights), np.asarray(spread)
@@ -214,17 +214,17 @@ class Emulator:
 
     @cached_property
     def _left_out_ratio(self) -> tuple[Matrix, Matrix]:
-        """Squared errors of the runs that are left out over their variances [n, r], and the widths of a mean [U]."""
+        """Squared leave-one-out errors of the runs over their variances [n, r], and the widths of a local mean [U]."""
         count, unknowns = self.points.shape
         errors, variances = self.left_out
         widths = np.maximum(self.points.std(axis=0), 1e-9) * count ** (-1.0 / (unknowns + 4.0))
         return errors**2 / np.maximum(variances, 1e-300), widths
 
     def variance_ratio(self, points: Matrix) -> Matrix:
-        """By which factor the variances around points [S, U] are larger than stated, shape [S, r].
+        """Factor by which the variances around points [S, U] are larger than stated, shape [S, r].
 
-        The mean squared error of the runs around that are left out, over its variance, by Gaussian weights of Scott's
-        rule (Multivariate density estimation, 1992); `ratio_prior` runs of ratio 1 count besides them.
+        It is the mean squared leave-one-out error of the runs around, over its variance, with Gaussian weights by
+        Scott's rule (Multivariate density estimation, 1992); `ratio_prior` runs of ratio 1 are added.
         """
         ratios, widths = self._left_out_ratio
         near = np.exp(-0.5 * squared_distance(points, self.points, widths))
@@ -234,7 +234,7 @@ class Emulator:
 
 
 def fitted(points: Matrix, numbers: Matrix, expected: Matrix, *, trend: Trend = linear, repeats: int = 0) -> Emulator:
-    """The emulator with the likeliest correlation lengths, of many parameters a common one; arguments as its own."""
+    """The emulator with the likeliest correlation lengths; many parameters share one. Arguments as for `Emulator`."""
     count = points.shape[1]
     free = count if count <= CONSTANTS.separate_lengths else 1
     of = partial(Emulator, points=points, numbers=numbers, expected_scatter=expected, trend=trend, repeats=repeats)
@@ -248,11 +248,11 @@ def fitted(points: Matrix, numbers: Matrix, expected: Matrix, *, trend: Trend = 
 
 
 def likeliest(log_likelihood: Callable[[NDArray[np.int64]], float], start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The logarithms of the correlation lengths of highest likelihood, in whole numbers of the smallest step, [U].
+    """The logarithms of the likeliest correlation lengths, as multiples of the smallest step, shape [U].
 
-    By a pattern search over a lattice (Hooke & Jeeves, "Direct search" solution of numerical and statistical problems,
-    J. ACM 8 (1961) 212-229): the likelihood is flat at its top, where the last digits of its slopes decide where a
-    descent ends; they differ from processor to processor, and with them would every sample and run that follow.
+    They come from a pattern search over a lattice (Hooke & Jeeves, "Direct search" solution of numerical and
+    statistical problems, J. ACM 8 (1961) 212-229). The likelihood is flat at its top, so that a descent would end by
+    the last digits of its slopes, which differ between processors, and so would all later samples and runs.
     """
     best, value = start.copy(), log_likelihood(start)
     smallest, largest = (round(math.log(length) / LENGTH_STEPS[-1]) for length in (SHORTEST, LONGEST))
@@ -272,10 +272,10 @@ def likeliest(log_likelihood: Callable[[NDArray[np.int64]], float], start: NDArr
 def most_informative(
     emulator: Emulator, candidates: Matrix, count: int, scales: Row, relevance: Row | float = 1.0
 ) -> list[int]:
-    """Which of the candidates [S, U] are to be run: those that shrink the emulator's variance over all of them most.
+    """The candidates [S, U] to run: those that reduce the emulator's variance over all candidates most.
 
-    One after the other where the decrease is largest, given those before (MacKay, Information-based objective functions
-    for active data selection, Neural Comput. 4 (1992) 590-604). scales: of the squares of each component [r];
+    They are chosen one after the other by the largest decrease, given those before (MacKay, Information-based objective
+    functions for active data selection, Neural Comput. 4 (1992) 590-604). scales: of the squares of each component [r];
     relevance: weights of the candidates [S] in the mean of the variance.
     """
     parts = [emulator.covariance(candidates, component) for component in range(len(scales))]

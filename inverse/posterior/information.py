@@ -1,9 +1,9 @@
-"""What a further measurement would decide: its expected information.
+"""The expected information of a further measurement.
 
     I = 1/2 ln(1 + var m(v) / (s^2 + d^2))
 
-with m(v) what the measurement would show over the samples of the posterior, s its scatter from flow to flow and d the
-error of reading it: the expected gain in Shannon information of a Gaussian (Lindley, On a measure of the information
+with m(v) the measurement's result over the samples of the posterior, s its scatter from flow to flow and d its reading
+error: the expected gain in Shannon information of a Gaussian (Lindley, On a measure of the information
 provided by an experiment, Ann. Math. Statist. 27 (1956) 986-1005). A factor of two in one interval is 0.69.
 """
 
@@ -25,7 +25,7 @@ READING = 0.25  # error of reading a length, in cells
 
 
 def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> dict[str, float]:
-    """What could be measured of a deposit, positions [m], shape [N, D]; extent: of the stations along x [m]."""
+    """Possible measurements of a deposit of positions [m], shape [N, D]; extent: of the stations along x [m]."""
     toe, volumes = measures.toe(deposit), particle_volumes(scene, len(deposit))
     measured = {"the front": measures.front(deposit, volumes)}
     measured |= {f"{axis} of the toe": float(value) for axis, value in zip("xyz", toe, strict=False) if axis != "y"}
@@ -44,7 +44,7 @@ def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> 
 def information(
     points: Matrix, shown: Mapping[str, Matrix], samples: Samples, *, cell: float, rng: np.random.Generator
 ) -> dict[str, float]:
-    """I [nat] of each measurement, most first; shown: by name what runs at points [n, U] show, [n]; cell: [m]."""
+    """I [nat] of each measurement, largest first; shown: name -> results [n] of runs at points [n, U]; cell: [m]."""
     where, gains = samples.drawn(400, rng), {}
     for name, numbers in shown.items():
         spread = float(numbers.std())

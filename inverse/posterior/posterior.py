@@ -1,26 +1,26 @@
-"""The posterior of the parameters over the whole box, by an emulator of the MPM.
+"""The posterior of the parameters over the whole box, from an emulator of the MPM.
 
     p(v | y*) ~ p(v) pi(v) t_nu(y* - m(v); C(v)),    C(v) = F^2 (S + N + D) + diag(k V + (k - 1) S)
 
 | symbol | variable | meaning |
 |---|---|---|
-| m, V | `Emulator.predict` | mean of the MPM over jitter seeds, and how little of it is known |
-| k | `Emulator.variance_ratio` | how much more than stated it errs around v |
-| S | `Emulator.scatter` | scatter of one flow, as the target is one |
+| m, V | `Emulator.predict` | mean of the MPM over jitter seeds, and the variance of its estimate |
+| k | `Emulator.variance_ratio` | factor by which it errs more than stated around v |
+| S | `Emulator.scatter` | scatter of one flow, because the target is one flow |
 | N | `Reduction.noise` | errors of the measurement |
-| D | `discretisation` | what the MPM's cells change, where the target is no flow on the same cells |
+| D | `discretisation` | error of the MPM's cells, unless the target is a flow on the same cells |
 | F | `factor` | model discrepancy that the fit shows beyond all of these (`validation.loop.discrepancy`) |
-| nu | `freedom` | degrees of freedom of Student's t: those of S, more where N is known and larger |
-| pi | `Likelihood.in_regime` | probability that flows at v are such as the target's, where regimes are parted |
+| nu | `freedom` | degrees of freedom of Student's t: those of S, more if N is known and larger |
+| pi | `Likelihood.in_regime` | probability that flows at v are in the target's regime, if there are several regimes |
 | p(v) | `Likelihood.log_prior` | prior, uniform between the bounds unless one is stated |
 
-Only runs exclude parameters, a prior never does. What an emulator has excluded stays excluded, and the runs around the
-rest alone make the next emulator, which is simpler there (history matching in waves: Vernon, Goldstein & Bower, Galaxy
-formation: a Bayesian uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
+Only runs exclude parameters, a prior never does. Parameters that an emulator has excluded stay excluded, and only runs
+around the remaining ones make the next emulator, which is simpler there (history matching in waves: Vernon, Goldstein
+& Bower, Galaxy formation: a Bayesian uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
 
-A cohesive column stands or falls. The emulator is of one such regime alone where that predicts its runs far better
+A cohesive column stands or falls. The emulator covers only one such regime if that predicts its runs far better
 (Gramacy & Lee, Bayesian treed Gaussian process models with an application to computer modeling, J. Am. Stat. Assoc. 103
-(2008) 1119-1130). A regime ends where what the runs show has a gap.
+(2008) 1119-1130). A regime ends at a gap in the results of the runs.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,13 +40,13 @@ from inverse.posterior.reduction import Reduction, reduction
 from inverse.posterior.sampling import Samples, sample
 from inverse.posterior.settings import CONSTANTS
 
-OUTERMOST = 0.1  # share of a region's extent, within which a sample lies at its edge
-SMALLEST = 1e-4  # extent of a region at least, as a fraction of the range
+OUTERMOST = 0.1  # outermost share of a region's extent, in which a sample lies at its edge
+SMALLEST = 1e-4  # smallest extent of a region, as a fraction of the range
 
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """A box within the unit box: what has not been excluded."""
+    """A box within the unit box that has not been excluded."""
 
     low: Row
     """Shape [U]."""
@@ -59,7 +59,7 @@ class Region:
 
     @staticmethod
     def around(samples: Samples) -> "Region":
-        """Around samples: their extent with `margin`; of more than `few_parameters` some standard deviations."""
+        """The region around samples: their extent plus `margin`; beyond `few_parameters`, some standard deviations."""
         low, high = samples.points.min(axis=0), samples.points.max(axis=0)
         more = CONSTANTS.margin * np.maximum(high - low, SMALLEST)
         low, high = low - more, high + more
@@ -70,11 +70,11 @@ class Region:
 
     @property
     def sampled(self) -> "Region":
-        """What samples may lie in: of more than `few_parameters` more than its runs fill."""
+        """The region of samples: beyond `few_parameters`, larger than the region that the runs fill."""
         return self if len(self.low) <= CONSTANTS.few_parameters else self.wider(CONSTANTS.beyond_region)
 
     def wider(self, factor: float = 2.0) -> "Region":
-        """So many times as wide."""
+        """The region `factor` times as wide."""
         more = 0.5 * (factor - 1.0) * (self.high - self.low)
         return Region(low=np.maximum(self.low - more, 0.0), high=np.minimum(self.high + more, 1.0))
 
@@ -97,24 +97,24 @@ class Region:
         return np.asarray(self.low + (self.high - self.low) * cube)
 
     def suffices(self, points: Matrix) -> bool:
-        """Whether enough different ones of the runs at points [n, U] lie in it for an emulator of their own."""
+        """Whether enough different runs of those at points [n, U] lie in it for their own emulator."""
         return len(np.unique(points[self.inside(points)], axis=0)) >= fewest_runs(points.shape[1])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Regime:
-    """Runs in it and out of it."""
+    """A regime, by the runs inside and outside it."""
 
     inside: Matrix
-    """Points of the runs in it, shape [n, U]."""
+    """Points of the runs inside, shape [n, U]."""
     outside: Matrix
-    """Of all others, shape [m, U]."""
+    """Points of all other runs, shape [m, U]."""
 
     def __call__(self, points: Matrix) -> Row:
-        """Logarithm of the probability that points [S, U] are in it, shape [S].
+        """Log-probability that points [S, U] are in the regime, shape [S].
 
-        The share of the runs that are, each by the power -(U + 2) of its distance (Shepard, A two-dimensional
-        interpolation function for irregularly-spaced data, Proc. ACM Natl. Conf. 23 (1968) 517-524): the nearest count.
+        It is the share of runs inside, each weighted by its distance to the power -(U + 2) (Shepard, A two-dimensional
+        interpolation function for irregularly-spaced data, Proc. ACM Natl. Conf. 23 (1968) 517-524).
         """
         power = 0.5 * points.shape[1] + 1.0
         squares = (squared_distance(points, runs, np.ones(1)) for runs in (self.inside, self.outside))
@@ -124,7 +124,7 @@ class Regime:
 
 @dataclass(frozen=True, kw_only=True)
 class Likelihood:
-    """Of the components of the target."""
+    """The likelihood of the components of the target."""
 
     emulator: Emulator
     target: Row
@@ -134,14 +134,14 @@ class Likelihood:
     freedom: float
     """nu."""
     regime: Regime | None = None
-    """Where flows are such as the target's; everywhere where absent."""
+    """The regime of the target's flow; default: everywhere."""
     within: Callable[[Matrix], Row] | None = None
-    """Logarithm of the probability of what is not excluded already at points [S, U], shape [S]."""
+    """Log-probability that points [S, U] are not excluded already, shape [S]."""
     prior: Callable[[Matrix], Row] | None = None
     """Logarithm of a stated prior over the uniform one at points [S, U], shape [S]."""
 
     def __call__(self, points: Matrix) -> Row:
-        """The logarithm of it and the prior over the uniform one at points [S, U], shape [S]."""
+        """Logarithm of the likelihood times the prior over the uniform one, at points [S, U], shape [S]."""
         square, determinant = self.squares(points)
         half, more = 0.5 * self.freedom, 0.5 * len(self.target)
         constant = gammaln(half + more) - gammaln(half) - more * np.log(np.pi * self.freedom)
@@ -153,26 +153,26 @@ class Likelihood:
         return np.zeros(len(points)) if self.prior is None else self.prior(points)
 
     def plausibility(self, points: Matrix) -> Row:
-        """Without the prior, over its largest value for the scales there, shape [S]: 0 where all residuals are."""
+        """Log-likelihood without the prior, minus its largest value for the local scales, shape [S]."""
         return self.relative(self.squares(points)[0]) + self.in_regime(points)
 
     def relative(self, square: Row) -> Row:
-        """Logarithm of Student's density over its largest value, of residuals of squared lengths [S], shape [S]."""
+        """Logarithm of Student's density over its largest value, for squared lengths of residuals [S], shape [S]."""
         return np.asarray(-0.5 * (self.freedom + len(self.target)) * np.log1p(square / self.freedom))
 
     def in_regime(self, points: Matrix) -> Row:
-        """Logarithm of the probability that points [S, U] are in the target's regime, and not excluded, shape [S]."""
+        """Log-probability that points [S, U] are in the target's regime and not excluded, shape [S]."""
         terms = [term(points) for term in (self.regime, self.within) if term is not None]
         return np.asarray(sum(terms, np.zeros(len(points))))
 
     def residual(self, points: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-        """y* - m(v) [S, r], the fixed part of C(v) [r, r], and what is on its diagonal besides [S, r]."""
+        """y* - m(v) [S, r], the fixed part of C(v) [r, r], and the rest of C(v), a diagonal [S, r]."""
         mean, variance = self.emulator.predict(points)
         ratio = self.emulator.variance_ratio(points)
         return self.target - mean, self.fixed, ratio * variance + (ratio - 1.0) * np.diag(self.emulator.scatter)
 
     def squares(self, points: Matrix) -> tuple[Row, Row]:
-        """Squared lengths of the residuals at points [S, U] in the scales there, logarithms of determinants, [S]."""
+        """Squared lengths of the residuals at points [S, U] in the local scales, and log-determinants, [S] each."""
         residual, fixed, variance = self.residual(points)
         lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(len(self.target)))
         scaled = np.linalg.solve(lower, residual[:, :, None])[:, :, 0]
@@ -181,33 +181,33 @@ class Likelihood:
 
 @dataclass(frozen=True, kw_only=True)
 class Posterior:
-    """Samples of it, with what they come from."""
+    """Samples of the posterior and their origin."""
 
     reduction: Reduction
     likelihood: Likelihood
     samples: Samples
     region: Region
-    """What had not been excluded before."""
+    """The region that had not been excluded before."""
     near: NDArray[np.bool_]
-    """Which of all runs the emulator is made of, shape [n]."""
+    """Which of all runs the emulator uses, shape [n]."""
     deviation: Row
-    """Of the errors that were counted, of each number, shape [M]."""
+    """Standard deviation of the counted errors of each number, shape [M]."""
     unmeasured: Matrix
     """F^2 (S + D) of the components, shape [r, r]."""
     explained: Row
-    """Variance of each component that repeated runs can explain: beyond it, the emulator does not fit, shape [r]."""
+    """Largest variance of each component that repeated runs explain, shape [r]; above it the emulator does not fit."""
 
     @property
     def emulator(self) -> Emulator:
         return self.likelihood.emulator
 
     def expected(self, points: Matrix) -> Matrix:
-        """The numbers that runs at points [S, U] are expected to show, shape [S, M]."""
+        """Expected results of runs at points [S, U], shape [S, M]."""
         return self.reduction.numbers(self.emulator.mean(points))
 
     @cached_property
     def plausible(self) -> Samples:
-        """Samples that the runs do not exclude, however little is known; of many parameters the posterior's."""
+        """Samples that the runs do not exclude, however little is known; with many parameters, the posterior's."""
         if len(self.region.low) > CONSTANTS.few_parameters:
             return self.samples
         rng = np.random.default_rng(len(self.near))
@@ -223,7 +223,7 @@ class Posterior:
 
     @property
     def next_region(self) -> Region:
-        """Around what is plausible, where the emulator is most of the variance; else as before: slopes need room."""
+        """Around plausible samples if the emulator dominates the variance; else unchanged, because slopes need room."""
         return Region.around(self.plausible) if self.emulator_share > CONSTANTS.narrow_above else self.region
 
 
@@ -242,13 +242,12 @@ def posterior(
     within: Callable[[Matrix], Row] | None = None,
     prior: Callable[[Matrix], Row] | None = None,
 ) -> Posterior:
-    """The posterior given runs at points [n, U] that show `numbers` [n, M].
+    """The posterior given runs at points [n, U] with results `numbers` [n, M].
 
-    scatter: expected standard deviation of each number from flow to flow [M]; region: what is not excluded and holds
-    the runs that count, the whole box where absent; factor: F; discretisation: change d of the numbers by the cells
-    [M]; extrapolated: share e of d that no run has shown (`inverse.noise.biases`); trends: the one is used that
-    predicts the runs best which are left out one by one; within: logarithm of what is excluded already; prior:
-    logarithm of a stated one (`Likelihood`).
+    scatter: expected standard deviation of each number from flow to flow [M]; region: region that is not excluded and
+    contains the runs that count, by default the whole box; factor: F; discretisation: change d of the numbers by the
+    cells [M]; extrapolated: share e of d that no run has shown (`inverse.noise.biases`); trends: candidates, of which
+    the one with the smallest leave-one-out errors is used; within, prior: see `Likelihood`.
     """
     unknowns = points.shape[1]
     region = region or Region.whole(unknowns)
@@ -282,7 +281,7 @@ def posterior(
         samples = sample(likelihood, rng, low=box.low, high=box.high)
         if box.holds(samples.points):
             break
-        # The wave before has excluded too much.
+        # The previous wave has excluded too much.
         region = region.wider()
     return Posterior(
         reduction=reduced,
@@ -297,10 +296,10 @@ def posterior(
 
 
 def regime_of(components: Matrix, points: Matrix, near: NDArray[np.bool_], target: Row) -> NDArray[np.bool_] | None:
-    """Which of the runs at points [n, U] with components [n, r] are in the regime of the target [r].
+    """Which of the runs at points [n, U] with components [n, r] are in the target's [r] regime.
 
-    Those before the widest gap between distances from it. None where it is no wider than `regime_gap`, and where those
-    of them that are `near` [n] are too few for an emulator or all that are.
+    They are the runs before the widest gap in the distances from the target. None if the gap is no wider than
+    `regime_gap`, or if the runs among them that are `near` [n] are too few for an emulator, or all of `near`.
     """
     distances = np.sqrt(((components - target) ** 2).sum(axis=1))
     ordered = np.sort(distances[near])
@@ -317,7 +316,7 @@ def regime_of(components: Matrix, points: Matrix, near: NDArray[np.bool_], targe
 def emulated(
     points: Matrix, numbers: Matrix, target: Target, scatter: Row, trends: Sequence[Trend]
 ) -> tuple[Reduction, Emulator, Row, int]:
-    """The emulator of runs at points [n, U] that show `numbers` [n, M], with `repeated_scatter`."""
+    """The emulator of runs at points [n, U] with results `numbers` [n, M], with `repeated_scatter`."""
     reduced = reduction(numbers, points, target, scatter=scatter)
     expected, repeats = repeated_scatter(points, reduced.components, reduced.expected_scatter)
     enough = [trend for trend in trends if len(points) > trend(points[:1]).shape[1] + 1]
@@ -326,10 +325,10 @@ def emulated(
 
 
 def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple[Row, int]:
-    """Standard deviation of each component [n, r] by runs at the same of the points [n, U], and degrees of freedom.
+    """Standard deviation of each component [n, r] from repeated runs at points [n, U], and degrees of freedom.
 
-    Each counts with `scatter_prior` further degrees of freedom of all together; it is `smallest_scatter` of `expected`
-    [r] at least, which it is where no runs are repeated.
+    Each has `scatter_prior` additional degrees of freedom, of all components together, and is at least
+    `smallest_scatter` times `expected` [r]. Without repeated runs it is `expected`.
     """
     _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     freedom = int((count - 1).sum())
@@ -344,10 +343,10 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple
 
 
 def next_points(posterior: Posterior, count: int, rng: np.random.Generator) -> Matrix:
-    """Where further runs shrink the emulator's variance most, among plausible parameters, shape [count, U].
+    """Points at which further runs reduce the emulator's variance most, among plausible ones, shape [count, U].
 
-    Over all components, each by its scatter and noise. Of more than `few_parameters` evenly over the region: what lies
-    between few samples of many dimensions is unknown otherwise.
+    The variance is over all components, each in units of its scatter and noise. With more than `few_parameters`, points
+    fill the region evenly, because the space between few samples of many dimensions would remain unknown.
     """
     if posterior.samples.points.shape[1] > CONSTANTS.few_parameters:
         return posterior.next_region.filled(count, rng)

@@ -1,10 +1,10 @@
-"""Samples of a posterior over the unit box by sequential Monte Carlo: several separate maxima are no difficulty.
+"""Samples a posterior over the unit box by sequential Monte Carlo, which copes with several separate maxima.
 
-A population of the prior becomes one of the posterior by stages, at which the likelihood counts with a rising exponent
-(Del Moral, Doucet & Jasra, Sequential Monte Carlo samplers, J. Roy. Statist. Soc. B 68 (2006) 411-436). At each stage
-samples are drawn again by weight and moved by differential evolution (ter Braak, A Markov chain Monte Carlo version of
-the genetic algorithm Differential Evolution, Stat. Comput. 16 (2006) 239-249): the difference of two others is a step
-as long as the population is wide in each direction, or from one maximum to another.
+A population of the prior becomes one of the posterior in stages, in which the exponent of the likelihood rises (Del
+Moral, Doucet & Jasra, Sequential Monte Carlo samplers, J. Roy. Statist. Soc. B 68 (2006) 411-436). At each stage
+samples are resampled by weight and moved by differential evolution (ter Braak, A Markov chain Monte Carlo version of
+the genetic algorithm Differential Evolution, Stat. Comput. 16 (2006) 239-249): the difference of two others gives a
+step that matches the width of the population in each direction, or leads from one maximum to another.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 
 LogLikelihood = Callable[[Matrix], Row]  # points [S, U] -> the logarithm of the likelihood [S]
-JUMP = 0.1  # share of the moves that are as long as the difference itself: from one maximum to another
+JUMP = 0.1  # share of moves by the whole difference, which lead from one maximum to another
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class Samples:
     log_likelihood: Row
     """Shape [S]."""
     evidence: float
-    """Logarithm of the mean likelihood over the prior that is not excluded."""
+    """Logarithm of the mean likelihood over the part of the prior that is not excluded."""
     difference: float
     """Largest difference between the means of two populations, in standard deviations of the posterior."""
     acceptance: float
@@ -51,7 +51,7 @@ class Samples:
         return np.asarray((off.T * self.weights) @ off)
 
     def drawn(self, count: int, rng: np.random.Generator) -> Matrix:
-        """Points drawn again to equal weights, shape [count, U]."""
+        """Points resampled to equal weights, shape [count, U]."""
         return np.asarray(self.points[systematic(self.weights, count, rng)])
 
 
@@ -60,7 +60,7 @@ def sample(log_likelihood: LogLikelihood, rng: np.random.Generator, *, low: Row,
     populations = [population(log_likelihood, rng, low, high) for _ in range(CONSTANTS.populations)]
     points = np.concatenate([batch[0] for batch in populations])
     evidences = np.array([batch[2] for batch in populations])
-    # Each population counts by its own estimate of the evidence.
+    # The weight of each population is its own estimate of the evidence.
     shares = np.exp(evidences - evidences.max())
     weights = np.repeat(shares / shares.sum(), [len(batch[0]) for batch in populations]) / CONSTANTS.samples
     spread = np.maximum(points.std(axis=0), 1e-12)
@@ -98,7 +98,7 @@ def population(
 
 
 def next_step(likelihood: Row, most: float) -> float:
-    """By how much the exponent may rise: `effective` of the samples stay so (Kish, Survey sampling, 1965)."""
+    """Largest rise of the exponent that keeps `effective` of the samples effective (Kish, Survey sampling, 1965)."""
 
     def effective(step: float) -> float:
         weights = np.exp(step * (likelihood - likelihood.max()))
@@ -116,7 +116,7 @@ def systematic(weights: Row, count: int, rng: np.random.Generator) -> NDArray[np
 def moved(
     log_likelihood: LogLikelihood, points: Matrix, likelihood: Row, exponent: float, rng: np.random.Generator
 ) -> tuple[Matrix, Row, float]:
-    """The population [S, U] after moves of one half by differences within the other, and the share accepted."""
+    """The population [S, U] after moves of each half by differences within the other, and the accepted share."""
     points, likelihood = points.copy(), likelihood.copy()
     size, unknowns = points.shape
     order = rng.permutation(size)
@@ -129,7 +129,7 @@ def moved(
             jitter = 1e-3 * points[other].std(axis=0) + 1e-9
             step = scale[:, None] * (points[other[first]] - points[other[second]])
             proposed = points[half] + step + jitter * rng.standard_normal((len(half), unknowns))
-            # Mirrored at a face, a step of correlated parameters would be likelier than the one back.
+            # Mirroring at a face would make a step of correlated parameters more likely than the step back.
             inside = np.all((proposed >= 0.0) & (proposed <= 1.0), axis=1)
             there = np.full(len(half), -np.inf)
             if inside.any():

@@ -1,1 +1,1 @@
-"""The search in waves, for every forward model: runs, what they say, and more runs where they say least."""
+"""The search in waves, for every forward model: runs, their evaluation, and more runs where they leave most open."""

@@ -1,25 +1,25 @@
-"""The inversion by one forward model: by its gradient from several starts in one batch, with its errors as noise.
+"""The inversion with one forward model: gradient steps from several starts in one batch, with its errors as noise.
 
     L(v) = r^T C^-1 r - 2 ln p(v),    r = y(v) - y*,    C = N + S + E
 
 | symbol | variable | meaning |
 |---|---|---|
 | v | `points` | parameters in fractions of their ranges, shape [s, U] |
-| y | `numbers` | what the forward model predicts, m numbers, shape [s, m] |
+| y | `numbers` | prediction of the forward model, m numbers, shape [s, m] |
 | N, S | `Target.errors` | errors of the measurement, scatter of one flow of the MPM |
-| E | - | error of a surrogate by its band (`inverse.forward.gns`) |
+| E | - | error of a surrogate from its band (`inverse.forward.gns`) |
 | J | - | dy/dv by an emulator of all predictions so far |
 | p, P | `Problem.prior` | a stated prior over the uniform one, and the inverse of its covariance |
 
-Predictions that fill the box are the first emulator (`inverse.posterior`); the separate parts of its posterior are the
-starts. From all of them together steps are made in lockstep that minimise, within the box and a trust region,
+Predictions that fill the box make the first emulator (`inverse.posterior`); the starts are the separate parts of its
+posterior. Steps from all starts are made in lockstep. Each minimises, within the box and a trust region,
 
     g^T s + s^T (J^T C^-1 J + P) s
 
-with g = dL/dv, exact, of all starts by one backward pass through one batch: Gauss-Newton steps whose metric alone is an
-estimate, so that they end where the model's own misfit is stationary. Where there is no derivative (the MPM without its
-adjoint, a parameter that makes other particles) slopes of the same emulator make g: each prediction corrects them. All
-predictions give the posterior.
+with the exact g = dL/dv, for all starts from one backward pass through one batch. These are Gauss-Newton steps in which
+only the metric is an estimate, so that they end where the model's own misfit is stationary. Without a derivative (the
+MPM without its adjoint, a parameter that changes the particles) the slopes of the same emulator give g, and each
+prediction corrects them. All predictions give the posterior.
 """
 
 import dataclasses
@@ -45,14 +45,14 @@ from inverse.problem import Problem
 from inverse.search.inference import EXCLUDED, Inference, Inversion
 from inverse.search.waves import ModelRun, filling, runs_of
 
-FIRST, PER_UNKNOWN = 6, 4  # predictions that fill the box, the problem's start among them
-STARTS = 6  # at most
-STEPS = 6  # from each start, at most
+FIRST, PER_UNKNOWN = 6, 4  # predictions that fill the box, including the problem's start
+STARTS = 6  # largest number of starts
+STEPS = 6  # largest number of steps from each start
 RADIUS = 0.1  # first radius of the trust region, in ranges of the box
-NEGLIGIBLE = 0.02  # decrease of L that no further step is made for: a seventh of a standard deviation of one number
+NEGLIGIBLE = 0.02  # decrease of L too small for a further step: a seventh of a standard deviation of one number
 ROUNDS, KNOWN = 3, 0.3
-"""Searches for minima at most; further predictions between them while the emulator's share of the variance is more."""
-ROUGH = 0.05  # expected roughness of a surrogate's own numbers, over their standard deviations by C
+"""Most searches for minima; largest share of the emulator in the variance before further predictions are made."""
+ROUGH = 0.05  # expected roughness of a surrogate's numbers, over their standard deviations from C
 
 
 def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values, *, rough: float = ROUGH) -> Inversion:
@@ -88,7 +88,7 @@ def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values
 
 
 def with_minima(state: Inversion) -> Inversion:
-    """With the minima that its answers lead to; a region as much wider as the lowest is off (Birge's ratio)."""
+    """The search with the minima that its answers lead to; its region widens by the misfit of the lowest (Birge)."""
     starts = [answer.point for answer in state.answers[:STARTS]]
     starts = [start for start in starts if not (state.minima[state.settled] == start).all(axis=1).any()]
     if starts:
@@ -99,7 +99,7 @@ def with_minima(state: Inversion) -> Inversion:
 
 
 def filled(state: Inversion, rng: np.random.Generator) -> Inversion:
-    """With further predictions where its emulator knows too little; of many parameters in a region of their own."""
+    """The search with further predictions where its emulator knows too little; for many parameters, in a new region."""
     unknowns = state.minima.shape[1]
     if unknowns <= CONSTANTS.few_parameters:
         return state.ran(next_points(state.posterior, PER_UNKNOWN, rng)).refined()
@@ -108,7 +108,7 @@ def filled(state: Inversion, rng: np.random.Generator) -> Inversion:
 
 
 def as_predicted(forward: Forward, target: Target, scatter: Values, errors: Matrix) -> Target:
-    """What the surrogate predicts of `target`, with the errors that it may be off by."""
+    """The part of `target` that the surrogate predicts, with the surrogate's errors added."""
     index = forward.select(np.arange(len(target.values), dtype=np.float64)).astype(np.int64)
     covariance = target.errors.some(index).matrix + np.diag(scatter[index] ** 2) + errors.T @ errors
     dof = None if target.dof is None else target.dof[index]
@@ -116,7 +116,7 @@ def as_predicted(forward: Forward, target: Target, scatter: Values, errors: Matr
 
 
 def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix, Matrix]:
-    """With what the model predicts at points [k, U]; this, shape [k, m], and dL/dv there, shape [k, U]."""
+    """The search with predictions at points [k, U]; these predictions, shape [k, m]; and dL/dv, shape [k, U]."""
     box, prior = state.knowledge.box, state.knowledge.problem.prior
     steepness = np.zeros_like(points) if prior is None else -2.0 * prior.slope(points)
     if not isinstance(state.forward, Differentiable):
@@ -127,11 +127,11 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
     predicted = state.forward.predict(parameters)
     numbers = predicted.detach().numpy()
     weights = 2.0 * (numbers - state.target.values) @ state.precision
-    # Of a sum: a tensor of weights makes torch load sympy.
+    # The gradient of a sum: with a tensor of weights torch would load sympy.
     (gradient,) = torch.autograd.grad((predicted * torch.from_numpy(weights)).sum(), parameters)
     state = dataclasses.replace(state, runs=(*state.runs, *runs_of(points, numbers)))
     slopes = gradient.numpy() * box.range
-    # In a parameter that makes other particles autograd finds none.
+    # Autograd finds no gradient for a parameter that changes the particles.
     without = ~slopes.any(axis=0)
     if without.any():
         slopes[:, without] = sloped(state, points, numbers)[:, without]
@@ -139,7 +139,7 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
 
 
 def descended(state: Inversion, starts: Matrix) -> Inversion:
-    """With the minima of L besides that steps in lockstep from `starts` [k, U] lead to."""
+    """The search with further minima of L, from steps in lockstep from `starts` [k, U]."""
     count = len(starts)
     best, lowest, slopes = starts.copy(), np.full(count, np.inf), np.zeros_like(starts)
     radius, moving, trial = np.full(count, RADIUS), np.arange(count), starts
@@ -161,7 +161,7 @@ def descended(state: Inversion, starts: Matrix) -> Inversion:
 
 
 def stepped(state: Inversion, points: Matrix, slopes: Matrix, radius: Values) -> tuple[Matrix, Values]:
-    """Steps [k, U] from points [k, U] with dL/dv [k, U], and by how much L should fall with each, shape [k]."""
+    """Steps [k, U] from points [k, U] with dL/dv [k, U], and the predicted decrease of L for each, shape [k]."""
     steps, gains = np.zeros_like(points), np.zeros(len(points))
     for index, (point, slope, metric) in enumerate(zip(points, slopes, metrics(state, points), strict=True)):
         lower = np.linalg.cholesky(metric + 1e-9 * max(float(np.trace(metric)), 1e-300) * np.eye(len(point)))
@@ -180,14 +180,14 @@ def metrics(state: Inversion, points: Matrix) -> Matrix:
 
 
 def sloped(state: Inversion, points: Matrix, numbers: Matrix) -> Matrix:
-    """d(r^T C^-1 r)/dv at points [k, U] where the model predicts `numbers` [k, m], by the emulator's slopes, [k, U]."""
+    """d(r^T C^-1 r)/dv, [k, U], from the emulator's slopes, at points [k, U] with predictions `numbers` [k, m]."""
     rises, outward = emulated_slopes(state, points)
     weights = 2.0 * (numbers - state.target.values) @ state.precision @ outward.T
     return np.stack([rise @ weight for rise, weight in zip(rises, weights, strict=True)])
 
 
 def emulated_slopes(state: Inversion, points: Matrix) -> tuple[list[Matrix], Matrix]:
-    """J^T = A B at points [k, U] by an emulator of all predictions: A of r components, each [U, r], and B [r, m]."""
+    """J^T = A B at points [k, U], from an emulator of all predictions: A of r components, each [U, r], and B [r, m]."""
     made = state.points
     reduced = reduction(state.numbers, made, state.target, scatter=state.knowledge.scatter)
     emulator = fitted(made, reduced.components, np.maximum(state.rough * reduced.expected_scatter, 1e-12))
@@ -197,7 +197,7 @@ def emulated_slopes(state: Inversion, points: Matrix) -> tuple[list[Matrix], Mat
 
 
 def around_minima(state: Inversion) -> Region:
-    """Three standard deviations about each minimum of L that its region holds, by L as it curves there."""
+    """Three standard deviations around each minimum of L within the region, from the curvature of L at the minimum."""
     losses, factor = state.losses(state.minima), state.knowledge.factor
     fall = chi2.isf(EXCLUDED, state.minima.shape[1]) * factor**2
     minima = state.minima[losses <= losses.min() + fall]

@@ -1,8 +1,8 @@
-"""What runs say of the parameters: their posterior, and what a forward model found that may lead a search of another.
+"""The posterior of the parameters from runs, and the result of one forward model, which may lead another's search.
 
-Runs of a forward model go where they narrow the posterior most, until more of them would hardly narrow it: the emulator
-of all runs around the posterior so far, its posterior, and runs where the emulator's variance hides most of it
-(`inverse.posterior`). A wave costs only seconds beside its runs.
+Runs of a forward model are placed where they narrow the posterior most, until more of them would hardly narrow it. Each
+wave fits an emulator to all runs around the posterior so far, samples its posterior, and runs where the emulator's
+variance matters most (`inverse.posterior`). A wave costs only seconds in addition to its runs.
 """
 
 from dataclasses import dataclass, replace
@@ -25,40 +25,40 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Box, Problem
 from inverse.search.waves import ModelRun, WaveSearch, filling
 
-EXCLUDED = 1e-3  # probability of parameters beyond the region of a surrogate, were its band right
-REWEIGHTED = 0.05  # change of the deviation of an error, over it, that changes no interval
-UPDATES = 12  # of the errors of outliers, at most
-STEEP = 4.0  # by how much the logarithm of the probability falls beyond the region, for each that the likelihood falls
+EXCLUDED = 1e-3  # probability of parameters beyond the region of a surrogate, if its band is right
+REWEIGHTED = 0.05  # relative change of an error's standard deviation that is too small to change an interval
+UPDATES = 12  # largest number of updates of the errors of outliers
+STEEP = 4.0  # slope of the log-probability beyond the region, over that of the log-likelihood
 R = TypeVar("R", bound=ModelRun)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inference:
-    """The posterior of the parameters by an emulator of the runs."""
+    """The posterior of the parameters from an emulator of the runs."""
 
     problem: Problem
     target: Target
-    """What the runs are compared with, shape [M]; of a surrogate with its errors."""
+    """The target of the runs, shape [M]; for a surrogate, with its errors."""
     scatter: Values
     """Expected standard deviation of each number from run to run, shape [M]."""
     guide: "Inversion | None" = None
-    """What a surrogate found: its region confines the posterior, of more than `few_parameters` by the first runs alone:
-    of so many runs their own emulator excludes enough, and is right where the surrogate's band is too narrow."""
+    """The result of a surrogate, whose region confines the posterior. With more than `few_parameters` it does so only
+    for the first runs: later their own emulator excludes enough, even if the surrogate's band is too narrow."""
     factor: float = 1.0
-    """Of the discrepancy."""
+    """Factor of the discrepancy."""
     spared: bool = False
-    """Whether it leaves the error of the cells as it is."""
+    """Whether the factor leaves the error of the cells unchanged."""
     discretisation: Values | None = None
-    """What the cells of the scene change of the numbers, as runs on other cells show, shape [M]."""
+    """Error of the numbers due to the scene's cells, from runs on other cells, shape [M]."""
     extrapolated: float = 1.0
-    """Share of it beyond what these show."""
+    """Share of that error that the runs do not show."""
     region: Region | None = None
-    """Of the runs that count in the next update; that which the latest posterior leaves where absent."""
+    """Region of the runs that count in the next update; default: the region that the latest posterior leaves."""
     latest: Posterior | None = None
 
     @property
     def posterior(self) -> Posterior:
-        """By the latest update."""
+        """The posterior of the latest update."""
         assert self.latest is not None, "no run was made yet"
         return self.latest
 
@@ -67,7 +67,7 @@ class Inference:
         return self.problem.box
 
     def updated(self, search: WaveSearch[Any, Any]) -> "Inference":
-        """With the posterior by all runs of `search`."""
+        """The same with the posterior from all runs of `search`."""
         points, guide = search.points, self.guide
         many = points.shape[1] > CONSTANTS.few_parameters
         target, region = self.target, self.region or self.left(points, known=len(search.known) > 0)
@@ -82,7 +82,7 @@ class Inference:
             )
             if target.dof is None:
                 break
-            # Robust noise: what the posterior so far shows of each error, until it shows the same again.
+            # Robust noise: update each error from the posterior so far, until the errors converge.
             square = (latest.expected(latest.samples.points) - target.values) ** 2
             before, target = target.deviation, target.reweighted(latest.samples.weights @ square)
             if np.all(np.abs(target.deviation - before) <= REWEIGHTED * before):
@@ -90,7 +90,7 @@ class Inference:
         return replace(self, latest=latest, region=None, target=target)
 
     def by(self, points: Matrix, numbers: Matrix, rng: np.random.Generator, **options: Any) -> Posterior:
-        """The posterior by runs at points [n, U] that show `numbers` [n, M]; options: as of `posterior`."""
+        """The posterior from runs at points [n, U] with results `numbers` [n, M]; options: as for `posterior`."""
         cells = self.discretisation
         if cells is not None and self.spared:
             cells = cells / self.factor
@@ -98,9 +98,9 @@ class Inference:
         return posterior(points, numbers, self.target, rng=rng, factor=self.factor, prior=self.problem.prior, **options)
 
     def left(self, points: Matrix, *, known: bool) -> Region | None:
-        """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there.
+        """The region that is not excluded: around the latest samples, once it contains enough of the runs [n, U].
 
-        known: whether some were made before, which lie anywhere: there are to be enough that scatter alike.
+        known: whether some runs were made for other targets; these lie anywhere, so more must scatter alike.
         """
         if self.latest is None:
             few = self.guide is None or self.guide.region is None
@@ -115,30 +115,30 @@ class Inference:
 
 @dataclass(frozen=True, kw_only=True)
 class Inversion(WaveSearch[ModelRun, Inference]):
-    """What one forward model found: a search by its predictions, and where its misfit is stationary.
+    """The result of one forward model: a search by its predictions, and the stationary points of its misfit.
 
-    The factor of its knowledge says by how much its region is wider than its band says, for what the MPM showed.
+    The factor of its knowledge widens its region beyond its band, according to the results of the MPM.
     """
 
     forward: Forward
     minima: Matrix
-    """Where the steps from each start ended, shape [k, U]."""
+    """Points at which the steps from each start ended, shape [k, U]."""
     settled: NDArray[np.bool_]
-    """Which of them no step leads on from, shape [k]."""
+    """Which of them have converged, shape [k]."""
     rough: float
-    """Expected roughness of the numbers, over their standard deviations by C."""
+    """Expected roughness of the numbers, over their standard deviations from C."""
     region: Region | None = None
-    """What of the box its posterior is looked for in; all of it where absent."""
+    """Part of the box in which the posterior is sampled; default: the whole box."""
     seconds: float = 0.0
 
     @property
     def posterior(self) -> Posterior:
-        """By its emulator, in the units of the box."""
+        """The posterior from its emulator, in the units of the box."""
         return self.knowledge.posterior
 
     @property
     def target(self) -> Target:
-        """Its part of the target's numbers, with S and E in their covariance, shape [m]."""
+        """The target's numbers that it predicts, with S and E in their covariance, shape [m]."""
         return self.knowledge.target
 
     @cached_property
@@ -148,7 +148,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
 
     @cached_property
     def answers(self) -> list[Part]:
-        """The same, each with its minimum of L: where runs of the MPM are led to."""
+        """The same parts, each with its minimum of L, to which MPM runs are led."""
         answers = []
         for part in self.regions:
             low, high = part.points.min(axis=0), part.points.max(axis=0)
@@ -165,7 +165,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         return np.asarray(np.linalg.inv(self.target.errors.matrix))
 
     def misfits(self, points: Matrix, numbers: Matrix | None = None) -> Values:
-        """r^T C^-1 r where the model predicts `numbers` [k, m], unless given at `points` [k, U] of its own, [k]."""
+        """r^T C^-1 r, [k], of predictions `numbers` [k, m]; default: the stored predictions at `points` [k, U]."""
         if numbers is None:
             made = self.points
             numbers = self.numbers[[int(np.argmin(np.abs(made - point).sum(axis=1))) for point in points]]
@@ -173,27 +173,27 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         return np.asarray(((residual @ self.precision) * residual).sum(axis=1))
 
     def losses(self, points: Matrix, numbers: Matrix | None = None) -> Values:
-        """L as `misfits`, shape [k]."""
+        """L, shape [k]; arguments as for `misfits`."""
         prior = self.knowledge.problem.prior
         return self.misfits(points, numbers) + (np.zeros(len(points)) if prior is None else -2.0 * prior(points))
 
     def refined(self, **changes: Any) -> "Inversion":
-        """With the posterior by all predictions in its region; changes: of the fields of `knowledge` before."""
+        """The same with the posterior from all predictions in its region; changes: first applied to `knowledge`."""
         return self.informed(region=self.region or Region.whole(self.minima.shape[1]), **changes)
 
     @property
     def fall(self) -> float:
-        """By how much the logarithm of the likelihood falls from its top to the edge of the region."""
+        """Decrease of the log-likelihood from its top to the edge of the region."""
         return 0.5 * float(chi2.isf(EXCLUDED, self.minima.shape[1]))
 
     def beyond(self, points: Matrix) -> Values:
-        """By how much the logarithm of the likelihood at points [S, U] falls below that at the region's edge, [S]."""
+        """Log-likelihood at the region's edge minus that at points [S, U], shape [S]."""
         belief, log_prior = self.posterior, self.posterior.likelihood.log_prior
         top = (belief.samples.log_likelihood - log_prior(belief.samples.points)).max()
         return np.asarray(top - self.fall - (belief.likelihood(points) - log_prior(points)))
 
     def within(self, points: Matrix) -> Values:
-        """Logarithm of the probability that the region holds points [S, U]: 0 inside, steep beyond, shape [S]."""
+        """Log-probability that the region contains points [S, U], shape [S]: 0 inside, steep outside."""
         return -STEEP * np.maximum(self.beyond(points), 0.0)
 
     def trend(self, points: Matrix) -> Matrix:
@@ -205,7 +205,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         return np.concatenate([np.ones((len(points), 1)), components], axis=1)
 
     def around(self, count: int, rng: np.random.Generator) -> Matrix:
-        """Points of its 95 % region far from answers and each other, of many parameters evenly in it, [count, U]."""
+        """Points [count, U] of its 95 % region far from answers and each other; with many parameters, evenly in it."""
         samples = self.posterior.samples
         if samples.points.shape[1] > CONSTANTS.few_parameters:
             return Region.around(samples).filled(count, rng)
@@ -219,9 +219,9 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         return np.stack(chosen[-count:])
 
     def compared(self, points: Matrix, shown: Matrix) -> "Inversion":
-        """Its region as wide as runs of the MPM at points [n, U] contradict it, that show numbers [n, M].
+        """The same with a region wide enough for the results `shown` [n, M] of MPM runs at points [n, U].
 
-        Off by more than the band allows: the squared difference, in units of C, that has a mean of 1 for each number.
+        The criterion is the squared difference in units of C, whose mean is 1 for each number if the band is right.
         """
         belief, factor = self.posterior, self.knowledge.factor
         places, label = np.unique(points, axis=0, return_inverse=True)
@@ -236,7 +236,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
 def left_out(search: WaveSearch[Any, Any]) -> dict[str, dict[str, float]]:
     """Half-widths of the numbers without each of several observations, and with all (`ALL_DATA`), by their names.
 
-    By an emulator of all runs over the whole box: the posterior without an observation may lie anywhere in it.
+    They come from an emulator of all runs over the whole box, anywhere in which such a posterior may lie.
     """
     knowledge: Inference = search.knowledge
     names, widths = [part.name for part in knowledge.target.observation.parts], {}
@@ -253,7 +253,7 @@ def left_out(search: WaveSearch[Any, Any]) -> dict[str, dict[str, float]]:
 
 
 def begun(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
-    """With runs that fill the box and its middle, as many as an emulator needs, unless the known ones are enough."""
+    """The search with runs that fill the box, enough for an emulator, unless the known runs suffice."""
     unknowns = len(search.knowledge.problem.parameters)
     if len(search.known) >= fewest_runs(unknowns):
         return search
@@ -265,17 +265,17 @@ def begun(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
 
 
 def wave_size(unknowns: int) -> int:
-    """Runs of a wave; of many parameters as many as an emulator of a smaller region needs."""
+    """Number of runs in a wave; with many parameters, as many as an emulator of a smaller region needs."""
     return CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
 
 
 def further(search: WaveSearch[R, Inference], count: int) -> Matrix:
-    """Where so many runs narrow the posterior most, shape [count, U]."""
+    """Points at which `count` runs narrow the posterior most, shape [count, U]."""
     return next_points(search.knowledge.posterior, count, search.generator())
 
 
 def searched(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
-    """With waves until the emulator's share is small; runs for checks of an answer are left over."""
+    """The search after waves until the emulator's share is small; runs for checks of an answer are reserved."""
     unknowns, spared = len(search.knowledge.problem.parameters), CONSTANTS.repeats + CONSTANTS.checks
     enough = CONSTANTS.converged_around if search.known else CONSTANTS.converged
     near = search
@@ -293,9 +293,9 @@ def searched(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
 
 
 def narrowed(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
-    """With the emulator of the runs around the samples alone, where these are in one part and it knows more there.
+    """The search with an emulator of the runs around the samples only, if these form one part and it knows more there.
 
-    Flows scatter and curve differently over the box: an emulator of all of it has the mean of their variances.
+    Scatter and curvature vary over the box: an emulator of the whole box averages their variances.
     """
     before = search.knowledge.posterior
     wide = CONSTANTS.around_deviations * np.sqrt(np.diag(before.samples.covariance)) + SMALLEST

@@ -131,7 +131,7 @@ def test_thin_layers_feel_all_of_the_drag(cells: float, offset: float, width: tu
     assert exact.speed(flow.time[-1]) > 0.99 * exact.terminal_speed
 
 
-@pytest.mark.filterwarnings("ignore:.*(hardly resolves it|is next to nothing)")
+@pytest.mark.filterwarnings("ignore:.*(hardly resolves it|is negligible compared)")
 @pytest.mark.parametrize("offset", [0.0, 0.4])
 def test_a_row_of_sand_that_has_sunk_to_the_bed_feels_the_drag_of_its_thickness(offset: float) -> None:
     """It spreads a little, too. By its distance from the bed alone the speed would be 0.63 of the block's."""

@@ -1,7 +1,7 @@
 """`python -m validation.bench coverage`: how often the posterior contains the truth, and whether its ranks are uniform.
 
-A truth v0 is drawn from the prior, its flow by the MPM with a jitter seed of its own is observed with noise as stated,
-and the loop solves for it. If the posterior is right, the share of it that is denser than v0 is uniform over the twins,
+For each twin a truth v0 is drawn from the prior, its MPM flow (with its own jitter seed) is observed with the stated
+noise, and the loop solves for it. If the posterior is right, the share of it denser than v0 is uniform over the twins,
 and so is the share of each number's marginal below v0 (Talts, Betancourt, Simpson, Vehtari & Gelman, Validating
 Bayesian inference algorithms with simulation-based calibration, arXiv:1804.06788, 2018; Hyndman, Computing and graphing
 highest density regions, Am. Stat. 50 (1996) 120-126).
@@ -41,10 +41,10 @@ from validation.run_store import kept
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}
-"""Shares of truths that a region is to hold: of 40 twins chance leaves each range once in a hundred."""
+"""Probability of a region -> allowed share of truths in it: with 40 twins chance leaves a range once in a hundred."""
 BINS = 8  # of the ranks, in the test of their uniformity
-SIGNIFICANT = 0.01  # p-value below which ranks are not uniform: of so many tests one in twenty would be below 0.05
-FIRST_SEED = 100_000  # jitter seed of the first twin's target, then upwards; its inversion has others
+SIGNIFICANT = 0.01  # p-value below which ranks are not uniform: in so many tests, one in twenty would be below 0.05
+FIRST_SEED = 100_000  # jitter seed of the first twin's target, then upwards; inversions have other seeds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,42 +53,42 @@ class Family(Record):
 
     title: str
     problem: str
-    """Name of a problem, or path of one beside this file, whose scene, numbers and observation the twins have."""
+    """Name of a problem, or path of one beside this file, whose scene, numbers and observation the twins use."""
     noise: float | str | None = None
-    """Of each observed number, as in `inverse.observations.ObservationSettings`; unless given the problem's own."""
-    cell: float | None = None  # cells of the inversion [m]; unless given those of the problem
+    """Noise of each observed number, as in `inverse.observations.ObservationSettings`; default: the problem's."""
+    cell: float | None = None  # cells of the inversion [m]; default: those of the problem
     finer: float | None = None
-    """Cells of the target's flow, as a share of the inversion's: what the inversion's own cells get wrong."""
+    """Cells of the target's flow over the inversion's, which gives the inversion an error of its cells."""
     outlier: float = 0.0
-    """Error of one of the numbers besides its noise, in standard deviations of that; which, and its sign, are drawn."""
-    priors: tuple[Prior, ...] = ()  # of the numbers, in their order; uniform unless given
+    """Additional error of one random number, with random sign, in standard deviations of its noise."""
+    priors: tuple[Prior, ...] = ()  # of the numbers, in their order; default: uniform
     correlation: float | None = None  # of the priors of the first two
-    surrogate: Surrogate = Surrogate.NONE  # whether one leads
-    adapted: bool = False  # whether it is one of `inverse.adapt`, whose runs of the MPM are known
+    surrogate: Surrogate = Surrogate.NONE  # the surrogate that leads, if any
+    adapted: bool = False  # whether it comes from `inverse.adapt`, whose MPM runs are then reused
     forecast: str | None = None
-    """Path beside this file of another scene, whose flow is forecast by each posterior and then run with the truth."""
-    twins: int = 40  # how many are solved unless another number is asked for; of dear ones half as many
+    """Path beside this file of another scene, which each posterior forecasts and which is then run with the truth."""
+    twins: int = 40  # default number of twins; half as many for expensive ones
 
 
 FAMILIES = {name: from_mapping(Family, each) for name, each in read_toml(Path(__file__).with_suffix(".toml")).items()}
-DEFAULT = ("front", "profile")  # families that are solved where none is named
+DEFAULT = ("front", "profile")  # default families
 
 
 @dataclass(frozen=True, kw_only=True)
 class Twin(Record):
-    """Where the posterior has the truth."""
+    """Place of the truth in the posterior."""
 
     seed: int
     denser: float
-    """Share of the posterior that is denser than the truth: above 0.95 it is outside of the 95 % region."""
+    """Share of the posterior that is denser than the truth: above 0.95 the truth is outside the 95 % region."""
     below: dict[str, float]  # share of each number's marginal below the true value
-    inside: int  # numbers whose interval of the answer that holds most of them holds the true value
+    inside: int  # number of true values within the intervals of the answer that contains most of them
     answers: int
     verdict: str
     runs: int
     seconds: float
     forecast: dict[str, bool] = field(default_factory=dict)
-    """Whether the 95 % interval of each number of a forecast holds that of the true flow."""
+    """Whether the 95 % interval of each number of a forecast contains that of the true flow."""
 
 
 def bench(
@@ -100,13 +100,13 @@ def bench(
     model: Path | None = None,
     jobs: Annotated[int | None, Many] = None,
 ) -> str:
-    """Solve twin experiments with truths from the prior, side by side, each on one thread.
+    """Solve twin experiments with truths from the prior, in parallel, each on one thread.
 
     Args:
-        twins: Of each family, in place of its own number.
-        only: Families of `coverage.toml` to solve; the page has all that there are in KEEP.
+        twins: Number of twins in each family, instead of its own.
+        only: Families of `coverage.toml` to solve; the page shows all results in KEEP.
         model: Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
-        jobs: Processes that solve a twin each; one per processor unless given.
+        jobs: Number of processes, each of which solves a twin; default: one per processor.
     """
     if unknown := [name for name in only if name not in FAMILIES]:
         raise InputError(f"expected a family: {suggestion(unknown[0], FAMILIES)}", where=unknown[0], key="--only")
@@ -137,12 +137,12 @@ def bench(
 
 
 def store_twin(path: Path, family: Family, number: int, model: Path | None) -> None:
-    """Solve a twin and write where it has its truth: a process that is to end finishes its twin first."""
+    """Solve a twin and write the place of its truth; a process that is asked to end finishes its twin first."""
     write_json(path, asdict(solve_twin(family, number, model)))
 
 
 def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
-    """Solve the twin of this number on one thread; model: of an adaptation."""
+    """Solve twin `number` on one thread; model: folder of an adaptation."""
     simulate = partial(simulate_many, threads=1)
     problem = drawn(family, number)
     with kept(None) as folder:
@@ -174,10 +174,10 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
 
 
 def forecasts(family: Family, number: int, problem: Problem, result: Path, simulate: Simulate) -> dict[str, bool]:
-    """Whether the intervals of a forecast by the posterior in `result` hold the numbers of the flow with the truth."""
+    """Whether the intervals of a forecast from the posterior in `result` contain the numbers of the true flow."""
     scene = replace(read_scene(Path(__file__).parent / str(family.forecast)), seed=FIRST_SEED + number)
     prediction = forecast_scene(result, scene, simulate=simulate)
-    # Further jitter seeds than those of the draws.
+    # Jitter seeds other than those of the draws.
     true = at(scene, problem.names, np.array([problem.target.truth[name] for name in problem.names]), number)
     if family.finer is not None:
         true = true.with_cell(family.finer * true.domain.cell)
@@ -187,7 +187,7 @@ def forecasts(family: Family, number: int, problem: Problem, result: Path, simul
 
 
 def misread(target: Target, outlier: float, number: int) -> Target:
-    """A target with one number, drawn for the twin of this number, off by so many standard deviations of its noise."""
+    """A target in which one random number of twin `number` is off by `outlier` standard deviations of its noise."""
     rng, values = np.random.default_rng([FIRST_SEED, number, 1]), target.values.copy()
     index = int(rng.integers(len(values)))
     values[index] += rng.choice([-1.0, 1.0]) * outlier * target.deviation[index]
@@ -195,7 +195,7 @@ def misread(target: Target, outlier: float, number: int) -> Target:
 
 
 def drawn(family: Family, number: int) -> Problem:
-    """The twin experiment of this number: the problem of its family with priors, a truth of these and jitter seeds."""
+    """Twin experiment `number`: the problem of its family with priors, a truth drawn from these, and jitter seeds."""
     beside = Path(__file__).parent / family.problem
     asked = read_problem(str(beside) if beside.exists() else family.problem)
     rng = np.random.default_rng([FIRST_SEED, number])
@@ -238,12 +238,12 @@ def held(twins: Sequence[Twin], level: float) -> float:
 
 
 def uniformity(twins: Sequence[Twin]) -> float:
-    """p-value of the share that is denser than the truth, if it were uniform."""
+    """p-value of a test that the share denser than the truth is uniform."""
     return float(kstest([twin.denser for twin in twins], "uniform").pvalue)
 
 
 def ranks(twins: Sequence[Twin]) -> float:
-    """Least p-value over the numbers of their ranks, if these were uniform, times how many there are."""
+    """Smallest p-value of tests that each number's ranks are uniform, times the count of numbers."""
     by_name = ([twin.below[name] for twin in twins] for name in twins[0].below)
     counts = [np.histogram(below, bins=BINS, range=(0.0, 1.0))[0] for below in by_name]
     return min(1.0, len(counts) * float(min(chisquare(count).pvalue for count in counts)))
@@ -270,7 +270,7 @@ def row(family: Family, twins: Sequence[Twin]) -> Row:
 
 
 def draw(path: Path, groups: Mapping[Family, Sequence[Twin]]) -> None:
-    """Share of the truths in the region over the region's share: on the diagonal where the posterior is right."""
+    """Plot the share of truths in a region over its probability: on the diagonal if the posterior is right."""
     levels = np.linspace(0.0, 1.0, 101)
     with figure(path, size=(5.0, 4.0)) as axes:
         axis = axes[0, 0]

@@ -1,4 +1,4 @@
-"""`python -m validation.bench experiments`: measured flows at angles of friction measured by themselves, and back."""
+"""`python -m validation.bench experiments`: measured flows, computed at independently measured angles, and inverted."""
 
 import itertools
 import math
@@ -30,23 +30,23 @@ from validation.run_store import Run, RunStore, kept
 
 CLOSE = 2.0  # spreads within which a number agrees
 LADDER_DEG = (16.0, 20.0, 24.0, 28.0, 32.0)
-"""Angles at which every case is run on its coarse cells: the slope of its front."""
+"""Angles at which every case runs on its coarse cells, which give the slope of its front over the angle."""
 INFERRED = "inferred"  # name of an angle that comes from the experiment itself
-RECORDED = 5  # frames from one to the next of a flow that is measured over time
+RECORDED = 5  # frames between two recorded ones, for a flow that is measured over time
 
 Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
-"""Runs to their flows, as `validation.run_store.RunStore.run`."""
+"""Runs -> their flows, like `validation.run_store.RunStore.run`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CaseScore:
-    """A measured number beside the computed one."""
+    """A measured number and the computed one."""
 
     case: str  # and its experiment
     measured: Measured
     reading: Reading
-    coarse: float  # computed on the coarse cells [m]; nan where there was no such run
-    fine: float  # on the fine cells [m]; the coarse one's for another angle than the first
+    coarse: float  # computed on the coarse cells [m]; nan without such a run
+    fine: float  # on the fine cells [m]; on the coarse ones for other angles than the first
 
     @property
     def label(self) -> str:
@@ -54,7 +54,7 @@ class CaseScore:
 
     @property
     def error(self) -> float:
-        """Computed on the fine cells less measured, in spreads [-]."""
+        """Value computed on the fine cells minus the measured one, in spreads [-]."""
         return (self.fine - self.measured.value) / self.measured.spread
 
     @property
@@ -64,27 +64,27 @@ class CaseScore:
 
 @dataclass(frozen=True, kw_only=True)
 class Inferred:
-    """The angle at which the front is the measured one, beside the material's own."""
+    """The angle at which the computed front equals the measured one, and the material's own angle."""
 
     label: str  # experiment and case
-    own: Angle | None  # the material's; None where none was measured
+    own: Angle | None  # the material's; None if none was measured
     deg: float  # on the fine cells [deg]
     half_width_deg: float  # by CLOSE times the measurement's spread [deg]
 
     @property
     def difference_deg(self) -> float:
-        """Inferred less measured [deg]; nan where none was measured."""
+        """Inferred minus measured angle [deg]; nan if none was measured."""
         return math.nan if self.own is None else self.deg - self.own.deg
 
     @property
     def agrees(self) -> bool:
-        """Whether the two ranges overlap; False where none was measured."""
+        """Whether the two ranges overlap; False if no angle was measured."""
         return self.own is not None and abs(self.difference_deg) <= self.half_width_deg + self.own.half_width_deg
 
 
 @dataclass(frozen=True, kw_only=True)
 class Predicted:
-    """What a prediction says on one grid."""
+    """A prediction on one grid."""
 
     variant: str
     cell: float  # [m]
@@ -92,7 +92,7 @@ class Predicted:
     time: Floats  # of the frames [s], shape [T]
     front: Floats  # its distance [m], shape [T]
     thickness: Floats  # at the gauges [m], shape [G, T]
-    arrivals: Floats  # at the gauges [s], shape [G]; nan where the front does not get there
+    arrivals: Floats  # at the gauges [s], shape [G]; nan if the front does not reach the gauge
 
 
 def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
@@ -101,7 +101,7 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
     Raises InputError for an experiment that cannot be read.
 
     Args:
-        experiments: Folder that holds a folder for each experiment; those that ship unless given.
+        experiments: Folder with a folder for each experiment; default: the shipped experiments.
     """
     read = read_experiments(experiments)
     with kept(keep) as folder:
@@ -143,8 +143,8 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
 def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[list[list[CaseScore]], Inferred | None]:
     """Run a case over the ladder of angles on its coarse cells, and at the first angle on its fine ones.
 
-    The scores of each measured number at the first angle of the experiment, or at the inferred one where it has none,
-    then at its other angles, on the coarse cells; and the angle that is inferred, None where no angle gives the front.
+    Returns the scores of each measured number at the first angle of the experiment (the inferred one if it has none),
+    then at its other angles on the coarse cells; and the inferred angle, None if no angle gives the front.
     """
     readings, extent = experiment.readings, case.extent
     first = readings[0] if readings else Reading(name=INFERRED, deg=math.nan, rate=experiment.grains is not None)
@@ -158,7 +158,7 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
 
     coarse = run(0, list(dict.fromkeys((*ladder, *readings))))
     angle, slope = crossing({reading.deg: quantity(extent, coarse[reading]) for reading in ladder}, extent.value)
-    # On the fine cells at the first angle that was measured, else at the one that the coarse cells imply.
+    # The fine cells run at the first measured angle, else at the one that the coarse cells imply.
     first = first if readings else replace(first, deg=angle)
     if math.isnan(first.deg):
         return [], None
@@ -168,7 +168,7 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
     inferred = Inferred(label=label, own=own, deg=deg, half_width_deg=abs(CLOSE * extent.spread / slope))
     again = replace(first, deg=deg)
     if not readings and case.measured[1:]:
-        # Where no angle was measured, what else was is held against a run at the inferred one.
+        # Without a measured angle, the other measured numbers are compared with a run at the inferred one.
         fine |= run(1, [again])
 
     def score(measured: Measured, reading: Reading) -> CaseScore:
@@ -204,7 +204,7 @@ def forecast(experiment: Experiment, prediction: Prediction, simulate: Simulate)
 
 
 def section(label: str, experiment: Experiment, predictions: Sequence[Predicted], out: Path) -> str:
-    """A prediction on the page, and its picture beside it."""
+    """The section of a prediction on the page; it also draws the picture."""
     picture = f"experiments-{experiment.name}.png"
     with figure(out / picture, size=(4.8, 3.4), columns=2) as axes:
         finest = [predicted for predicted in predictions if predicted.cell == predictions[-1].cell]
@@ -231,9 +231,9 @@ def section(label: str, experiment: Experiment, predictions: Sequence[Predicted]
 
 
 def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float]:
-    """The angle [deg] at which a front that falls with it is `target` [m], linear between runs; and the slope there.
+    """The angle [deg] at which a front that decreases with it is `target` [m], linear between runs; and the slope.
 
-    nan for the angle where none of the runs is as far, or all are further. fronts: [m] by angle [deg].
+    The angle is nan if no run reaches the target or all exceed it. fronts: angle [deg] -> front [m].
     """
     angles = sorted(fronts)
     pairs = list(itertools.pairwise(angles))

@@ -1,7 +1,7 @@
 """`python -m validation.bench gns`: the shipped surrogates against the MPM on fine cells, on held-out scenes.
 
-The scenes are drawn by the definitions that draw the training data, with another seed: no stream of random numbers is
-shared. Variants of other scenes are left out.
+The scenes come from the definitions of the training data with another seed, so that they share no random numbers.
+Variants of other scenes are left out.
 """
 
 import math
@@ -33,34 +33,34 @@ from validation.run_store import Run, RunStore, kept
 
 SEED = 1  # of the held-out scenes; the training data have 0
 SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 18, "obstacle3d": 4, "terrain3d": 6}}
-"""Held-out scenes of each family, one of every kind after the other, by dimension; references in 3D are dear."""
+"""Held-out scenes of each family, one of every kind after the other, by dimension; references in 3D are expensive."""
 CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
-"""Of the coarse MPM, across the smallest side of the body, by dimension."""
-LEVEL = 0.95  # of the bands
-TIMES = (2, 3)  # of flows on terrain, a few cells thick: its cells over those of the reference
+"""Cells of the coarse MPM across the smallest side of the body, by dimension."""
+LEVEL = 0.95  # probability of the bands
+TIMES = (2, 3)  # for flows on terrain, a few cells thick: coarse cells over those of the reference
 AGAIN = "the MPM, jittered anew"
 MOUNDS = ((45.0, 12.0), (42.0, 8.0), (35.0, 0.0), (28.0, 0.0))
-"""Angles of friction and of the floor [deg] under which it stays where it is."""
-JITTERS = 3  # of a mound
+"""Friction angle and floor angle [deg] at which a mound is stable."""
+JITTERS = 3  # number of jitters of a mound
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """One held-out scene by a model and by the MPM."""
+    """One held-out scene, computed by a model and by the MPM."""
 
     kind: str  # of the scene
     extent: float  # of the reference's deposit [m]
-    free: bool  # whether no wall holds the reference's front
+    free: bool  # whether no wall stops the reference's front
     by: Mapping[str, Errors]
-    """By method: the model's name, the MPM on coarse cells, a run like the reference jittered anew."""
+    """Method -> errors: the model, the MPM on coarse cells, a run like the reference with another jitter."""
     seconds: Mapping[str, float]  # by method: on one thread, without compilation and without loading a model
     band: tuple[float, float] | None
-    """Error of the predicted front and half-width of its band [m]; of free fronts at larger x, of models with bands."""
+    """Error of the predicted front and half-width of its band [m]; for free fronts at larger x, models with bands."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelErrors:
-    """All that was measured of one model on one family of scenes."""
+    """All measurements of one model on one family of scenes."""
 
     name: str
     family: str
@@ -78,19 +78,19 @@ class ModelErrors:
 
     @property
     def held(self) -> list[bool]:
-        """Of each front with a band whether it lies within."""
+        """Whether each front with a band lies within it."""
         return [abs(case.band[0]) <= case.band[1] for case in self.compared if case.band]
 
 
 Mounds = Mapping[tuple[float, float], Mapping[str, float]]
-"""Creep of each of the `MOUNDS` from its start on [mm/s], the worst of its jitters, by the MPM and by each model."""
+"""Initial creep of each of the `MOUNDS` [mm/s], the worst of its jitters, by the MPM and by each model."""
 
 
 def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
-    """Compare models with the MPM on fine cells; some fifteen minutes on two cores, most of them for the references.
+    """Compare models with the MPM on fine cells, in about fifteen minutes on two cores, mostly for the references.
 
     Args:
-        model: A model's file or the name of one that ships, once or more often; all that ship unless given.
+        model: File of a model or name of a shipped one, once or several times; default: all shipped models.
     """
     paths = {path: gns.load(path).settings.dimension for path in [model_path(file) for file in model] or models()}
     with kept(keep) as folder:
@@ -135,14 +135,14 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
 
 
 def measure(path: Path, family: str, number: int, store: RunStore) -> ModelErrors:
-    """Errors of a model on so many scenes of a family."""
+    """Errors of a model on `number` scenes of a family."""
     simulator, scenes = gns.load(path), held_out(family, number)
     fine = [scene for _, scene in scenes]
     references, again = (
         store.run([Run(scene=replace(scene, seed=scene.seed + more), record=AT_REST) for scene in fine])
         for more in (0, 1)
     )
-    # Kernels are compiled, or read from their cache, at a first call.
+    # The first call compiles kernels, or reads them from their cache.
     gns.simulate(fine[0], model=simulator)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -213,7 +213,7 @@ def conclusion(measured: Sequence[ModelErrors], mounds: Mounds) -> list[str]:
 
 
 def kind_rows(model: ModelErrors) -> list[Row]:
-    """Errors by kinds of scenes, of all of them, and of the MPM jittered anew."""
+    """Errors by kind of scene, of all scenes, and of the MPM with another jitter."""
     names, every = dict.fromkeys(case.kind for case in model.compared), model.compared
     groups = [(kind, model.name, [case for case in every if case.kind == kind]) for kind in names]
     rows: list[Row] = []
@@ -241,7 +241,7 @@ def draw(path: Path, measured: Sequence[ModelErrors]) -> None:
 
 
 def held_out(family: str, number: int) -> list[tuple[str, Scene]]:
-    """So many scenes that no training data have, with their kinds: the first of every kind, then the second, ..."""
+    """`number` scenes outside the training data, with their kinds: the first of every kind, then the second, ..."""
     definition = read_definition(family)
     kinds = definition.kinds
     by_kind: dict[str, list[tuple[str, Scene]]] = {kind: [] for kind in kinds}
@@ -267,8 +267,8 @@ def coarser(scene: Scene, family: str) -> dict[str, Scene]:
 def coarse(scene: Scene, wanted: float) -> Scene:
     """A scene on cells of `wanted` [m], or a little smaller.
 
-    Its box is made higher by part of a cell where it has to be: else its height, a whole number of fine cells, would
-    decide which coarser ones fit.
+    If necessary its box becomes higher by part of a cell: else its height, a whole number of fine cells, would
+    determine which coarser cells fit.
     """
     length, height, *width = scene.domain.size
     plan = replace(scene.domain, size=(length, length, *width))
@@ -278,7 +278,7 @@ def coarse(scene: Scene, wanted: float) -> Scene:
 
 
 def mound(friction_deg: float, slope_deg: float, seed: int) -> Scene:
-    """The mound of `mound.toml`, stable where it is less steep than its angle of friction."""
+    """The mound of `mound.toml`, stable if it is less steep than its friction angle."""
     scene = read_scene(Path(__file__).with_name("mound.toml")).with_friction_deg(friction_deg)
     return replace(scene, slope_deg=slope_deg, seed=seed)
 
@@ -290,5 +290,5 @@ def creep(flow: Trajectory) -> float:
 
 
 def mean(values: Sequence[float]) -> float:
-    """Mean of the absolute values; nan of none."""
+    """Mean of the absolute values; nan without any."""
     return float(np.mean(np.abs(values))) if values else math.nan

@@ -1,4 +1,4 @@
-"""Seconds and memory that a piece of work takes: in turns, so that other load affects all alike, or in a process."""
+"""Time and memory of a piece of work: measured in turns, so that other load affects all alike, or in a process."""
 
 import ctypes
 import gc
@@ -26,14 +26,14 @@ from mpm import Recording, simulate
 P = ParamSpec("P")
 Key = TypeVar("Key")
 T = TypeVar("T")
-Found = dict[str, Any]  # what a piece of work came to and took, by key
+Found = dict[str, Any]  # results and costs of a piece of work, by key
 CLEAR = Path("/proc/self/clear_refs")
-RESET_PEAK = "5"  # written into CLEAR, it begins the record of the peak anew
+RESET_PEAK = "5"  # written into CLEAR, it resets the record of the peak
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Of at least one measurement; in a format the median, and the range where there is one."""
+    """The spread of at least one measurement; formatted as the median, with the range if there is one."""
 
     values: Sequence[float]
 
@@ -54,7 +54,7 @@ def seconds_of(action: Callable[[], object]) -> float:
 
 
 def turns(work: Mapping[Key, Callable[[], float]], rounds: int, what: str) -> dict[Key, Spread]:
-    """What each work measures: all of it once, then all of it once more, `rounds` times in all."""
+    """The measurements of each work: all works once, then all again, `rounds` times in total."""
     results: dict[Key, list[float]] = {key: [] for key in work}
     with tqdm(total=rounds * len(work), desc=what, unit="run", dynamic_ncols=True) as progress:
         for _ in range(rounds):
@@ -65,9 +65,9 @@ def turns(work: Mapping[Key, Callable[[], float]], rounds: int, what: str) -> di
 
 
 def isolated(work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
-    """`work(...)` in a new interpreter: memory that other work left behind does not count.
+    """`work(...)` in a new interpreter, so that memory left behind by other work does not count.
 
-    What it raises is raised here; WorkFailed where the system ended it.
+    Raises the errors of `work`, and WorkFailed if the system killed it.
     """
     pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent)
     with without_main(), pool:
@@ -78,7 +78,7 @@ def isolated(work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
 
 
 def once(path: Path, work: Callable[P, Found], /, *args: P.args, **kwargs: P.kwargs) -> Found:
-    """What `isolated` work came to, as it stands in `path`, where it is kept when it was not done yet."""
+    """The result of `isolated` work, read from `path` or, if it is not there, computed and stored there."""
     if (result := read_json(path)) is None:
         result = isolated(work, *args, **kwargs)
         write_json(path, result)
@@ -86,7 +86,7 @@ def once(path: Path, work: Callable[P, Found], /, *args: P.args, **kwargs: P.kwa
 
 
 def recorded(scene: Callable[[], Scene], record: Recording, path: Path) -> Found:
-    """What a run takes whose frames go to `path`: seconds, of these those before its first step, memory, disk [MiB]."""
+    """Cost of a run that writes its frames to `path`: time, time before the first step [s], memory and disk [MiB]."""
     began = time.perf_counter()
     with FrameWriter(path) as file:
         flow = simulate(scene(), record=record, file=file, progress=True)
@@ -104,9 +104,9 @@ def recorded(scene: Callable[[], Scene], record: Recording, path: Path) -> Found
 
 
 def reset_peak() -> int:
-    """Memory of this process [bytes], from which the record of its peak, `inverse.answer.peak_memory_mib`, begins anew.
+    """Reset the record of this process's peak memory (`inverse.answer.peak_memory_mib`); return the memory [bytes].
 
-    What is free is given back before: it would hide the same amount in use later.
+    Free memory is released first: it would hide the same amount used later.
     """
     gc.collect()
     if CLEAR.exists():

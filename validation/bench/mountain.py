@@ -1,6 +1,6 @@
-"""`python -m validation.bench mountain --data DIR`: slides of kilometres beside other codes (ISeeSnow).
+"""`python -m validation.bench mountain --data DIR`: kilometre-long slides compared with other codes (ISeeSnow).
 
-Each scene is what `datasets.site` makes of a raster and a release polygon, as a user would.
+`datasets.site` makes each scene from a raster and a release polygon, as a user would.
 """
 
 import csv
@@ -28,28 +28,28 @@ from validation.run_store import kept
 
 PARAMETERS = "simulationParameterValues_{}.csv"
 MOVES = 1.0  # peak speed [m/s] from which a cell counts as reached
-COVERED = 0.1  # thickness [m] from which the speed of a cell counts: a particle alone in a cell of 5 m is less
-EVERY = 2  # frames from one that is kept for the maps to the next
-NEAREST = "com1DFA"  # the code that cell by cell is compared with
-ALIKE = ("com1DFA", "MPM")  # codes of particles, which the speeds are compared with where they are there
+COVERED = 0.1  # thickness [m] from which the speed of a cell counts: a single particle in a cell of 5 m is less
+EVERY = 2  # frames between two that are kept for the maps
+NEAREST = "com1DFA"  # the code of the cell-by-cell comparison
+ALIKE = ("com1DFA", "MPM")  # particle codes, with which speeds are compared if the data have them
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slide(Record):
     """A case of the comparison."""
 
-    codes: tuple[str, ...]  # whose peaks are in the data
-    axis: int  # along which it runs: 0 by easting, 1 by northing
-    onward: int  # 1 where coordinates grow along the flow, else -1
+    codes: tuple[str, ...]  # codes whose peaks are in the data
+    axis: int  # direction of the flow: 0 along easting, 1 along northing
+    onward: int  # 1 if coordinates increase along the flow, else -1
     sections: tuple[float, ...]  # coordinates of the cross-sections [m]
     cells: tuple[float, ...]  # edges of the grid's cells [m] that are affordable, coarse ones first
     internal_friction: float = 45.0
-    """[deg]. Voellmy's law is that of a layer that does not shear inside: it has to be steeper than the slope."""
+    """[deg], above the slope, because Voellmy's law assumes a layer without internal shear."""
 
 
 SLIDING, STEEP = 0.35, 35.0  # friction of the bed of avaSlide, and angle of internal friction there [deg]
 RAISED = ((5.0, 0.0), (2.5, 0.0), (5.0, 1234.56))
-"""Cells [m] on which avaSlide runs, and by what its ground is raised [m]."""
+"""Cells [m] on which avaSlide runs, and the height by which its ground is raised [m]."""
 LINES = {"cell [m]": "g", "ground raised by [m]": "g", "particles": ",", "slope of the energy line": ".4f"}
 LINES |= {"of a point": ".4f", "off by": "+.1%"}
 COSTS = {"case": "", "cell [m]": "g", "particles": ",", "steps": ",", "before the first step [s]": ".1f"}
@@ -84,7 +84,7 @@ def only(folder: Path, pattern: str) -> Path:
 
 
 def slid(data: Path, cell: float, folder: Path) -> Found:
-    """The peaks of a run, and what it takes."""
+    """The peaks of a run, and its cost."""
     case, path, scene = CASES[data.name], folder / f"{cell:g}.h5", written_scene(data, cell, folder)
     took = recorded(lambda: read_scene(scene), Recording(frames=EVERY, until_rest=True), path)
     began, beside = time.perf_counter(), read_raster(data / f"peak-speed-{NEAREST}.tif")
@@ -96,7 +96,7 @@ def slid(data: Path, cell: float, folder: Path) -> Found:
 
 
 def energy_line(data: Path, cell: float, raised: float, folder: Path) -> Found:
-    """The energy line of the centre of mass on avaSlide, whose ground is `raised` [m], beside that of a point."""
+    """The energy line of the centre of mass on avaSlide, whose ground is `raised` [m], and that of a sliding point."""
     dem, release = only(data, "*.asc"), only(data, "*.shp")
     ground, path = read_raster(dem), folder / f"slide-{cell:g}-{raised:g}.toml"
     corner = [float(axis[0]) - 0.5 * ground.spacing[0] for axis in (ground.x, ground.z)]
@@ -117,7 +117,7 @@ def sliding_point(x: Floats, height: Floats, start: float, friction: float) -> f
 
         d(v^2 / 2 g) = -dy - mu (dx + v^2 / g dtheta)
 
-    with the angle theta of the profile: what turns the point up presses it on the bed, as its weight does.
+    with the angle theta of the profile: the force that turns the point upwards presses it on the bed like its weight.
     """
     x, height = np.append(start, x[x > start]), np.append(np.interp(start, x, height), height[x > start])
     steps, falls = np.diff(x), -np.diff(height)
@@ -134,12 +134,12 @@ def sliding_point(x: Floats, height: Floats, start: float, friction: float) -> f
 
 
 def alike(ours: Floats, places: Sequence[Floats], beside: Raster) -> Found:
-    """How the speeds of a run compare with another code's cell by cell: plan overlap and their ratio (median)."""
+    """Cell-by-cell comparison of a run's speeds with another code's: plan overlap and median ratio."""
     both = zip((beside.x, beside.z), places, strict=True)
     nearest = [np.abs(axis[:, None] - place[None]).argmin(axis=0) for axis, place in both]
     theirs = beside.values[np.ix_(*nearest)]
     here, there = ours > MOVES, theirs > MOVES
-    # What the other reached outside of our box counts as missed.
+    # Cells that the other code reached outside our box count as missed.
     missed = int((beside.values > MOVES).sum()) - int(there.sum())
     common = here & there
     overlap = common.sum() / ((here | there).sum() + max(0, missed))
@@ -147,7 +147,7 @@ def alike(ours: Floats, places: Sequence[Floats], beside: Raster) -> Found:
 
 
 def peaks(case: Slide, places: Sequence[Floats], speed: Floats, thickness: float) -> Found:
-    """What codes are compared by; speed: [m/s], shape [X, Z], on square cells with their middles at `places` [m]."""
+    """The compared quantities; speed: [m/s], shape [X, Z], on square cells with centres at `places` [m]."""
     along, reached = places[case.axis], speed > MOVES
     moved = np.asarray(reached.any(axis=1 - case.axis))
     cell = float(along[1] - along[0])
@@ -169,14 +169,14 @@ def bench(
     cells: tuple[float, ...] = (),
     slide: Path | None = None,
 ) -> str:
-    """Measure slides of kilometres on rasters of some 300,000 posts: how far, how fast, at what price.
+    """Measure kilometre-long slides on rasters of some 300,000 posts: reach, speed and cost.
 
     Args:
         data: Folder of the comparison, with a folder for each case, or of one case: terrain, release, parameters and
             peaks of other codes.
-        case: Those to measure.
-        cells: Edges of the grid's cells [m], coarse ones first; unless given, of each case its own.
-        slide: Folder of avaSlide (AvaFrame): its raster and its release; unless given it is left out.
+        case: Cases to measure.
+        cells: Edges of the grid's cells [m], coarse ones first; default: those of each case.
+        slide: Folder of avaSlide (AvaFrame) with its raster and its release; default: avaSlide is left out.
     """
     require(all(0.5 <= cell <= 10.0 for cell in cells), "--cells", "edges from 0.5 to 10 m", list(cells))
     require(set(case) <= set(CASES), "--case", f"some of {', '.join(CASES)}", list(case))
@@ -231,7 +231,7 @@ def compared(name: str, finest: Found, others: Mapping[str, Found]) -> str:
 
 
 def row(case: Slide, name: str, result: Found) -> Row:
-    """A code's peaks; those that are compared cell by cell with another code's say how."""
+    """The row of a code's peaks, with the cell-by-cell comparison if there is one."""
     speeds = zip(case.sections, result["speeds"], strict=True)
     return {
         "code": name,

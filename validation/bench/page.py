@@ -1,4 +1,4 @@
-"""Pages of figures in Markdown: templates with a conclusion, the command, the machine and tables filled in.
+"""Pages of figures in Markdown: templates filled with a conclusion, the command, the machine and tables.
 
 Also the flags that all pages share.
 """
@@ -20,15 +20,13 @@ from datasets.files import write_text
 from datasets.markdown import markdown_table
 
 Out = Annotated[Path, Parameter(help="Folder of the page and its pictures.")]
-Keep = Annotated[
-    Path | None, Parameter(help="Folder of finished work, which is not done again; temporary if not given.")
-]
-Many = Parameter(validator=Number(gte=1))  # of things of which there is at least one
-Rounds = Annotated[int, Many, Parameter(help="How often everything is measured: tables give median and range.")]
+Keep = Annotated[Path | None, Parameter(help="Folder of finished work, which is reused; default: a temporary folder.")]
+Many = Parameter(validator=Number(gte=1))  # a number of at least one
+Rounds = Annotated[int, Many, Parameter(help="Number of repetitions; tables give median and range.")]
 TEMPLATES = Path(__file__).parent / "pages"
 CONCLUSION = 5  # most sentences of a conclusion
 PACKAGES = {"Taichi": "taichi", "NumPy": "numpy", "PyTorch": "torch", "Numba": "numba"}
-"""What Talus computes with, by name."""
+"""Name -> package with which Talus computes."""
 CPUINFO = Path("/proc/cpuinfo")
 
 Row = Mapping[str, object]  # a row of a table: its cells by column heading
@@ -46,7 +44,7 @@ def between(values: Collection[float], form: str) -> str:
 
 
 def emphasised(text: str, ok: bool) -> str:
-    """Bold where it is not."""
+    """The text, bold unless `ok`."""
     return text if ok else f"**{text}**"
 
 
@@ -65,8 +63,8 @@ def write_page(
 ) -> str:
     """Write `out`/NAME.md, its template with the parts that it names, and return its conclusion, for the terminal.
 
-    Every sentence of the conclusion is made from the numbers of the page, never from a constant of its writer. flags:
-    with which the page was measured, today and here; parts: rows are written as a table.
+    Every sentence of the conclusion comes from the numbers of the page, never from a constant of its writer. flags:
+    flags with which the page was measured, today and here; parts: rows are written as a table.
     """
     if not 0 < len(conclusion) <= CONCLUSION:
         raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
@@ -81,7 +79,7 @@ def write_page(
 
 
 def machine() -> str:
-    """Processor, cores and versions in a line: what a figure was measured on."""
+    """Processor, cores and versions of the measurement, in a line."""
     features = " with AVX-512" if "avx512f" in cpuinfo("flags").split() else ""
     processor = cpuinfo("model name") or platform.processor() or platform.machine()
     versions = ", ".join(f"{name} {version(package)}" for name, package in PACKAGES.items())

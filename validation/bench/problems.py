@@ -1,4 +1,4 @@
-"""`python -m validation.bench problems`: every shipped inverse problem, beside its criteria and the paper's figures."""
+"""`python -m validation.bench problems`: every shipped inverse problem, with its criteria and the paper's figures."""
 
 import hashlib
 import math
@@ -21,27 +21,27 @@ from validation.bench.page import Keep, Out, Row, between, emphasised, tables, w
 from validation.plots import BLUE, GREY, INK, ORANGE, RED, figure
 from validation.run_store import kept
 
-RESULT, KEY = "result.json", "made-of.txt"  # of a problem: what the loop wrote, and a digest of what it was made of
+RESULT, KEY = "result.json", "made-of.txt"  # of a problem: the loop's result, and a digest of its inputs
 ENDED = (0, 1)  # confirmed, and not
-LISTED = 4  # of more numbers than these the page has one row
+LISTED = 4  # a problem with more numbers has one row on the page
 ALONE, LED, COARSE = "MPM alone", "surrogate leads", "larger cells lead"  # the ways to an answer
 COLOURS = {ALONE: BLUE, LED: ORANGE}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Criteria(Record):
-    """What an outcome is compared with."""
+    """The criteria for an outcome."""
 
     verdict: Verdict = Verdict.CONFIRMED
     front_error_pct: float = math.inf  # largest relative error of the front in the MPM
-    unknown_error_pct: float = math.inf  # largest relative error of a number, where its half-width is no wider
+    unknown_error_pct: float = math.inf  # largest relative error of a number, unless its half-width is larger
     loss: float = math.inf  # largest loss in the MPM [m^2]
-    inside: bool = False  # whether every true value is to be within its interval
+    inside: bool = False  # whether every true value has to be within its interval
 
 
 @dataclass(frozen=True, kw_only=True)
 class Paper(Record):
-    """What the reference paper reports of a problem; lengths in metres, angles in degrees."""
+    """Results of the reference paper for a problem; lengths in metres, angles in degrees."""
 
     values: tuple[float, ...] = ()
     loss: float | None = None
@@ -53,9 +53,9 @@ class Section(Record):
 
     title: str
     problems: tuple[str, ...]
-    pictures: tuple[str, ...] = ()  # PROBLEM/PICTURE that the page shows, without the ending
+    pictures: tuple[str, ...] = ()  # PROBLEM/PICTURE on the page, without the ending
     again: tuple[Surrogate, ...] = ()
-    """Each problem is solved once more with each of these in place of what it asks for."""
+    """Each problem is also solved with each of these surrogates instead of its own setting."""
     criteria: Criteria
 
 
@@ -66,7 +66,7 @@ PAPER = {name: from_mapping(Paper, each) for name, each in SHIPPED["paper"].item
 
 @dataclass(frozen=True, kw_only=True)
 class AnsweredNumber:
-    """What was found of an unknown number; None where it is not known."""
+    """The result for an unknown number; None for values that are not known."""
 
     unknown: str
     unit: str
@@ -81,7 +81,7 @@ class AnsweredNumber:
     """Whether the true value is known and lies within the interval of the answer that holds most true values."""
 
     def off(self, value: float | None) -> float:
-        """A value less the true one; nan where one of them is not known."""
+        """A value minus the true one; nan if one of them is not known."""
         return math.nan if value is None or self.truth is None else value - self.truth
 
 
@@ -118,7 +118,7 @@ class Outcome:
             intervals = answer["interval"].items()
             return {name for name, (low, high) in intervals if name in truth and low <= truth[name] <= high}
 
-        # Of one answer for all: values of two layouts are no layout.
+        # All from one answer: mixed values of two answers are no answer.
         inside, numbers = max(map(held, answers), key=len), []
         for name, kind in zip(names, self.problem.kinds, strict=True):
             (value, low, high), *others = [(answer["unknowns"][name], *answer["interval"][name]) for answer in answers]
@@ -129,7 +129,7 @@ class Outcome:
 
     @property
     def missed(self) -> list[str]:
-        """Criteria that it does not meet, with what came out."""
+        """The missed criteria, with the results."""
         asked, result = self.criteria, self.result
         numbers = [number for number in self.numbers if number.truth is not None]
         front, loss = result["error_pct"].get("front") or 0.0, result["loss"].get("mpm") or 0.0
@@ -151,13 +151,13 @@ Outcomes = Mapping[str, Outcome]  # of one problem, by the way to them
 
 
 def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
-    """Solve every shipped problem that has no result in KEEP, by a `python -m validation.loop` each.
+    """Solve every shipped problem that has no result in KEEP, each with a `python -m validation.loop`.
 
     A result is kept in KEEP/NAME, one with the surrogate in KEEP/NAME-gns, one without in KEEP/NAME-none, until the
-    problem or the surrogate's weights change. Raises WorkFailed, once the page is written, where one could not be run.
+    problem or the surrogate's weights change. Raises WorkFailed, after writing the page, if a problem could not be run.
 
     Args:
-        only: Solve these alone; the page has all that there are.
+        only: Problems to solve; the page shows all results in KEEP.
     """
     names = [name for family in FAMILIES for name in family.problems]
     if unknown := [name for name in only if name not in names]:
@@ -197,8 +197,8 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = ()) -> str:
 
 
 def made_of(problem: Problem) -> str:
-    """Digest of the problem and of the weights of a surrogate that may be asked."""
-    # Wherever the problem lies.
+    """Digest of the problem and of the weights of a surrogate that may be used."""
+    # Independent of the problem's folder.
     text = repr(problem).replace(repr(problem.folder), repr(Path()))
     asked = problem.surrogate is not Surrogate.NONE
     weights = library.shipped(problem.scene).read_bytes() if asked else b""
@@ -212,11 +212,11 @@ def current_result(problem: Problem, folder: Path) -> dict[str, Any] | None:
 
 
 def solve(problem: Problem, folder: Path) -> None:
-    """Solve a problem by the loop in a process of its own; nothing current is in `folder` where that fails."""
+    """Solve a problem with the loop in its own process; if that fails, `folder` contains no current result."""
     if (folder / KEY).exists():
-        # Made of another problem or other weights: runs that it kept would cost this one no seconds.
+        # Runs of another problem or other weights would make this one seem cheaper.
         shutil.rmtree(folder)
-    # An older result is not this one's, should this one fail.
+    # If this run fails, an older result must not count as its result.
     (folder / RESULT).unlink(missing_ok=True)
     arguments = ["-m", "validation.loop", problem.name, "--out", str(folder), "--surrogate", problem.surrogate]
     if subprocess.run([sys.executable, *arguments], check=False).returncode in ENDED:
@@ -224,7 +224,7 @@ def solve(problem: Problem, folder: Path) -> None:
 
 
 def section(title: str, problems: Sequence[Outcomes]) -> str:
-    """Of a family: its table, without columns that nothing fills, and the criteria that are missed."""
+    """The section of a family: its table, without empty columns, and the missed criteria."""
     every = [outcome for ways in problems for outcome in ways.values()]
     fields = [field_row(outcome, field) for outcome in every for field in outcome.result.get("fields", ())]
     table = fields or [row for ways in problems for row in rows(ways)]
@@ -236,7 +236,7 @@ def section(title: str, problems: Sequence[Outcomes]) -> str:
 
 
 def conclusion(solved: Sequence[Outcomes]) -> list[str]:
-    """How many answers meet their criteria and truths lie in intervals, the paper's columns, fields, the price."""
+    """Counts of met criteria and of truths in intervals, the paper's columns, fields, and the cost."""
     outcomes = [outcome for ways in solved for outcome in ways.values()]
     if not outcomes:
         return ["No problem has been solved yet."]
@@ -282,7 +282,7 @@ def rows(ways: Outcomes) -> list[Row]:
 
 
 def cell(outcome: Outcome, index: int, digits: int, *, many: bool) -> str:
-    """A number that was found with its interval; of many how many true values are within theirs."""
+    """A found number with its interval; of many numbers, how many true values are within their intervals."""
     number, verdict = outcome.numbers[index], outcome.result["verdict"]
     answers = [(number.found, number.low, number.high), *number.others]
     text = " or ".join(f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]" for value, low, high in answers)
@@ -337,7 +337,7 @@ def write_numbers(path: Path, outcomes: Sequence[Outcome]) -> None:
 
 
 def draw(path: Path, solved: Sequence[Outcomes]) -> None:
-    """The problems of the paper: each answer less the true value; a pane for each unit."""
+    """Plot the paper's problems: each answer minus the true value, a pane for each unit."""
     panes: dict[str, list[tuple[str, dict[str, AnsweredNumber]]]] = {}
     for ways in solved:
         one = next(iter(ways.values()))

@@ -1,6 +1,6 @@
-"""`python -m validation.bench speed`: rates, baffles, water, first runs, a gradient's price, networks, a terrain.
+"""`python -m validation.bench speed`: rates, baffles, water, first runs, the cost of a gradient, networks, a terrain.
 
-And `gpu`: rates of the MPM and a step of the network on a GPU, beside the processor.
+And `gpu`: rates of the MPM and a step of the network on a GPU, compared with the processor.
 """
 
 import os
@@ -36,8 +36,8 @@ from validation.run_store import Run, kept
 CUBE = 0.375  # edge of the body in 3D [m]
 GRADIENT_MIB = 1024.0  # memory that a gradient may take: enough for the checkpoints of the largest scene priced
 STARTED = ("column-short-21", "flume-35", "baffles-2", "valley-3d")
-"""Shipped scenes of several kinds of kernels: nothing but the box, terrain, baffles; two dimensions, then three."""
-WET = "cube"  # that of `featured` full of water, whose kernel is the longest
+"""Shipped scenes with several kinds of kernels: box only, terrain, baffles; in 2D, then 3D."""
+WET = "cube"  # the water-filled scene of `featured`, whose kernel is the longest
 PRICED = "column-tall-42"
 FINER = ((1, 0.5), (2, 0.25), (2, 0.5), (4, 0.0625))
 """How many times finer than the shipped column's the cells are, and duration [s], of runs whose gradient is priced."""
@@ -108,14 +108,14 @@ def rate(case: Workload, mode: Mode) -> float:
     place: Options = {"precision": precision, "threads": threads}
     if not threads:
         place = {"precision": precision, "arch": "cuda"}
-        # On a GPU the first frame compiles.
+        # On a GPU, the first frame includes compilation.
         simulate_many([replace(scene, duration=scene.frame_dt) for scene in scenes], **place)
     summaries = [flow.summary for flow in simulate_many(scenes, **place)]
     return float(sum(summary["particles"] * summary["steps"] for summary in summaries) / summaries[0]["wall_s"] / 1.0e6)
 
 
 def featured() -> dict[str, tuple[str, Scene, Scene]]:
-    """Scenes whose feature is priced, by name: what it is, the scene and the same without it.
+    """Name -> feature whose cost is measured, scene with it, and the same scene without it.
 
     The paper's short column, which runs against a baffle, shipped scenes with baffles in 3D, and the cube of sand, full
     of water and dry, in steps as scenes have them unless they say otherwise: longer ones take more sweeps.
@@ -138,7 +138,7 @@ def featured() -> dict[str, tuple[str, Scene, Scene]]:
 
 
 def feature_row(name: str, feature: str, scene: Scene, without: Scene, rounds: int) -> Row:
-    """Nanoseconds of a particle-step on one thread, of a scene and of that `without` its feature, in turn."""
+    """Nanoseconds per particle-step on one thread, for a scene and for the scene `without` its feature, in turn."""
 
     def nanoseconds(scene: Scene) -> float:
         summary = simulate(scene, record=LAST, threads=1).summary
@@ -152,11 +152,11 @@ def feature_row(name: str, feature: str, scene: Scene, without: Scene, rounds: i
 
 
 def started(scene: Scene, folder: str) -> float:
-    """CPU seconds of this new process, its kernels kept in `folder`, up to the end of the first frame of a scene."""
+    """CPU seconds of this new process up to the end of a scene's first frame; its kernels are cached in `folder`."""
     os.environ["TI_OFFLINE_CACHE_FILE_PATH"] = folder
     simulate(replace(scene, duration=scene.frame_dt), record=LAST, threads=1)
     seconds = time.process_time()
-    # Taichi writes its kernels when it ends, to which a worker of a pool does not come.
+    # Taichi writes its kernels on exit, which the worker of a pool never reaches.
     import taichi as ti
 
     ti.reset()
@@ -178,9 +178,9 @@ def mean_x(positions: NDArray[np.float64], _: NDArray[np.float64]) -> tuple[floa
 
 
 def price(scene: Scene, rounds: int) -> Found:
-    """What the gradient of a scene takes beside a run, medians of `rounds` turns in this process.
+    """Cost of a scene's gradient compared with a run, medians of `rounds` turns in this process.
 
-    Kernels are compiled on a short flow before. The memory is the greatest resident size above that before.
+    A short flow compiles the kernels first. The memory is the largest increase of the resident size.
     """
     short = replace(scene, duration=0.02)
     simulate(short, record=LAST, threads=1)
@@ -202,8 +202,8 @@ def price(scene: Scene, rounds: int) -> Found:
 
 
 def network_rows(*, rounds: int, device: str = "cpu") -> list[Found]:
-    """A row for each model that ships and each length of a body: seconds of a step; one thread, medians of rounds."""
-    # Here, because processes that only price a gradient do without PyTorch.
+    """A row for each shipped model and body length: seconds of a step on one thread, medians of rounds."""
+    # Imported here: processes that only measure a gradient do not need PyTorch.
     import torch
 
     import gns
@@ -212,7 +212,7 @@ def network_rows(*, rounds: int, device: str = "cpu") -> list[Found]:
 
     def row(path: Path, length: float) -> Found:
         simulator = gns.load(path)
-        # A model scales every scene to the body of its training data; as it is, a longer one has more nodes.
+        # A model scales every scene to the body of its training data; unscaled, a longer body has more nodes.
         simulator.settings = replace(simulator.settings, body_length=None)
         simulator.to(device)
         initial = initial_state(body(simulator.settings.dimension, length), simulator.settings)
@@ -223,7 +223,7 @@ def network_rows(*, rounds: int, device: str = "cpu") -> list[Found]:
         def step(gradient: bool) -> None:
             with torch.set_grad_enabled(gradient):
                 moved = simulator(state, conditions).positions.sum()
-                # As a number, which waits for a GPU.
+                # Conversion to a number waits for the GPU.
                 float(torch.autograd.grad(moved, friction)[0].sum() if gradient else moved)
 
         timed = [[seconds_of(partial(step, kind)) for _ in range(1 + rounds)] for kind in (False, True)]
@@ -240,7 +240,7 @@ def network_rows(*, rounds: int, device: str = "cpu") -> list[Found]:
 
 
 def body(dimension: int, length: float) -> Scene:
-    """A body of sand so long [m], at rest at the left wall of a box."""
+    """A body of sand of this length [m], at rest at the left wall of a box."""
     cell, across, _ = BODIES[dimension]
     return Scene(
         domain=Domain(size=(length + 0.6, 1.5 * across[0], *across[1:]), cell=cell),
@@ -251,14 +251,14 @@ def body(dimension: int, length: float) -> Scene:
 
 
 def slide() -> Scene:
-    """`hillside` on other cells, its layer a little thicker, its soil as soft as its speed allows."""
+    """`hillside` on other cells, with a slightly thicker layer and soil as soft as its speed allows."""
     scene = read_scene("hillside").with_cell(CELL)
     soil, layer = replace(scene.material, young=6.0e6), replace(scene.masses[0], thickness=6.25)
     return replace(scene, material=soil, masses=(layer,), duration=8.0, step_fraction=0.9)
 
 
 def terrain(folder: Path) -> Found:
-    """What the slide takes from the raster to the maps; frames and maps go to `folder`."""
+    """Cost of the slide from the raster to the maps; frames and maps go to `folder`."""
     costs = recorded(slide, Recording(frames=EVERY), folder / "flow.h5")
     began, trajectory = time.perf_counter(), open_trajectory(folder / "flow.h5")
     make_folder(folder / "maps")
@@ -267,11 +267,11 @@ def terrain(folder: Path) -> Found:
 
 
 def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
-    """Measure rates over sizes, at baffles, in water, first runs, gradients, networks, a terrain; on a quiet machine.
+    """Measure rates over sizes, baffles, water, first runs, gradients, networks and a terrain, on an idle machine.
 
-    KEEP has the large terrain; other times are of one command.
+    KEEP stores the large terrain; the other times come from one command.
     """
-    # Taichi starts anew for another precision or number of threads.
+    # Taichi restarts for another precision or number of threads.
     keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
     rates = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
     priced_features = featured()
@@ -305,9 +305,9 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
 def gpu(*, out: Out, rounds: Rounds = 2) -> str:
     """Measure rates over sizes and steps of the networks on a GPU, in turn with all processors of the same machine.
 
-    Raises InputError where there is no GPU.
+    Raises InputError without a GPU.
     """
-    # Here, because processes that only price a gradient do without PyTorch.
+    # Imported here: processes that only measure a gradient do not need PyTorch.
     from torch import cuda
 
     if not cuda.is_available():

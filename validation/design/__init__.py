@@ -1,1 +1,1 @@
-"""Robust design: where barriers stand, and how high, so that runout or impact stays below a limit as often as asked."""
+"""Robust design: places and heights of barriers that keep runout or impact below a limit with a given probability."""

@@ -1,4 +1,4 @@
-"""`python -m validation.design PROBLEM --out DIR`: where barriers stand so that a limit is kept as often as asked."""
+"""`python -m validation.design PROBLEM --out DIR`: a barrier design that keeps a limit with a given probability."""
 
 import sys
 from pathlib import Path
@@ -8,18 +8,18 @@ from datasets.errors import WorkFailed
 
 
 def main(problem: str, /, *, out: Path, scheduler: str | None = None) -> None:
-    """Find the cheapest design that keeps a limit as often as asked, over what is uncertain, checked by the MPM.
+    """Find the cheapest design that keeps a limit with a given probability under uncertainty; the MPM checks it.
 
-    Leaves OUT/design.json, OUT/report.md, OUT/design.png, OUT/mpm. Running the same command again after a kill uses the
-    MPM runs that are there. Exit status 1 where the MPM does not confirm the design.
+    Writes OUT/design.json, OUT/report.md, OUT/design.png and OUT/mpm. An interrupted command, started again, reuses the
+    MPM runs that are finished. The exit status is 1 if the MPM does not confirm the design.
 
     Args:
         problem: Path of a design problem in TOML, or the name of a shipped one.
         out: Folder for the results.
-        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the
+        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file. Its workers then run the
             MPM.
     """
-    # Imported here: torch takes seconds to load, and help has no use for it.
+    # Imported here: torch takes seconds to load, and --help does not need it.
     from contextlib import nullcontext
 
     from inverse.answer import Verdict

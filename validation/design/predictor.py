@@ -1,4 +1,4 @@
-"""What predicts flows of a design in thousands: the learned surrogate, or the MPM on larger cells."""
+"""Predictors of thousands of flows for a design problem: the learned surrogate, or the MPM on larger cells."""
 
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -25,12 +25,12 @@ from mpm import ALL, LAST, simulate_many
 from validation.design.problem import DesignProblem, Limit
 from validation.design.race import Predict
 
-TOGETHER = 64  # flows of a batch on a GPU, and scenes that are made at a time
-COARSER = 2.0  # cells of the MPM that predicts over the scene's
+TOGETHER = 64  # flows in a batch on a GPU; scenes built at a time
+COARSER = 2.0  # cell size of the predicting MPM over the scene's
 
 
 def predictor(problem: DesignProblem, simulate: Simulate = simulate_many) -> Predict:
-    """Responses of flows by what the problem asks for. Raises InputError where it cannot predict."""
+    """The predictor of responses that the problem asks for. Raises InputError if it cannot predict them."""
     if problem.surrogate == "coarse":
         problem.scene.with_cell(COARSER * problem.scene.domain.cell)
         respond = partial(coarse, problem.limit, simulate)
@@ -55,14 +55,14 @@ def predictor(problem: DesignProblem, simulate: Simulate = simulate_many) -> Pre
 
 
 def coarse(limit: Limit, simulate: Simulate, scenes: Sequence[Scene]) -> list[float]:
-    """By the MPM on larger cells."""
+    """Responses by the MPM on larger cells."""
     larger = [scene.with_cell(COARSER * scene.domain.cell) for scene in scenes]
     flows = simulate(larger, record=ALL if limit.force else LAST)
     return [float(limit.kept(flow).summary[limit.quantity]) for flow in flows]
 
 
 def in_batches(device: str, quantity: str, scenes: Sequence[Scene]) -> list[float]:
-    """By the surrogate, scenes of one size side by side in one batch, as a GPU wants them."""
+    """Responses by the surrogate, with the scenes of one size in one batch, which suits a GPU."""
     model, responses = known_model(shipped(scenes[0])).to(device), dict[int, float]()
     begun = [initial_state(scene, model.settings) for scene in scenes]
     for units in {start.conditions.units for start in begun}:
@@ -80,7 +80,7 @@ def in_batches(device: str, quantity: str, scenes: Sequence[Scene]) -> list[floa
 
 
 def on_processors(quantity: str, scenes: Sequence[Scene]) -> list[float]:
-    """By the surrogate on every processor: a thread each, which together would be no faster."""
+    """Responses by the surrogate on every processor, one process with one thread each: more threads gain nothing."""
     share = max(1, len(scenes) // processors())
     with without_main():
         return list(predicting_processes().map(partial(predicted, quantity), scenes, chunksize=share))
@@ -88,12 +88,12 @@ def on_processors(quantity: str, scenes: Sequence[Scene]) -> list[float]:
 
 @lru_cache(maxsize=1)
 def predicting_processes() -> ProcessPoolExecutor:
-    """Those of all batches: each of them takes seconds to start and to load the model."""
+    """The processes, kept for all batches: each takes seconds to start and to load the model."""
     return ProcessPoolExecutor(processors(), get_context("spawn"), end_with_parent)
 
 
 def predicted(quantity: str, scene: Scene) -> float:
-    """By the surrogate."""
+    """The response of a scene by the surrogate."""
     return float(gns.simulate(scene, model=known_model(shipped(scene))).summary[quantity])
 
 

@@ -1,4 +1,4 @@
-"""A design problem: what may be chosen, what is uncertain, and below which limit a flow has to stay, how often.
+"""A design problem: its design variables, its uncertain numbers, and the limit that flows keep with a probability.
 
 minimise c . d    subject to    P(y(d, u, e) < L) >= p,    u ~ prior or posterior, e the jitter of the particles
 """
@@ -34,23 +34,23 @@ from inverse.settings import counted
 
 DESIGNS = Path(__file__).parent / "problems"
 FORCE_SCATTER = 0.1
-"""Standard deviation of a peak force from flow to flow over the limit, before runs have measured it."""
-ASSURANCE = 0.9  # probability with which a design passes its check where the emulator is right
+"""Standard deviation of a peak force from flow to flow, over the limit, before runs have measured it."""
+ASSURANCE = 0.9  # probability that a design passes its check if the emulator is right
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limit(Record):
-    """What has to stay below which value, and how often."""
+    """A limit: a quantity, the value that it stays below, and with which probability."""
 
     quantity: Literal["front", "runout", "impact_force"]
-    """Of the deposit [m]; the largest mean force between two frames [N, in 2D N per metre of width]."""
+    """Front or runout of the deposit [m]; or the largest mean force between two frames [N, in 2D N/m of width]."""
     below: float
-    """[m, N or N/m]; of a front or runout on the map where the box of the scene has an origin."""
+    """[m, N or N/m]; a front or runout in map coordinates if the box of the scene has an origin."""
     probability: Annotated[float, Bounds("a probability in [0.5, 1)", ge=0.5, lt=1.0)] = 0.95
     solid: str | None = None
-    """Of a force: on which baffle or solid, by its name; the largest on any where absent."""
+    """For a force: the name of the baffle or solid that it acts on; by default, the one with the largest force."""
     window: float = 0.0
-    """Time [s] over which a force is averaged besides."""
+    """Time [s] over which a force is averaged in addition."""
 
     @property
     def force(self) -> bool:
@@ -58,11 +58,11 @@ class Limit(Record):
 
     @property
     def folder(self) -> str:
-        """Where runs are kept: those of other forces have other ones in their summaries."""
+        """Folder of the runs, one for each limited quantity: the summaries of runs hold only that quantity."""
         return f"{self.quantity}-{zlib.crc32(repr((self.solid, self.window)).encode()):08x}"
 
     def kept(self, flow: Trajectory) -> Trajectory:
-        """The deposit of a run, with the force in its summary where that is limited."""
+        """The deposit of a run; if a force is limited, with the force in its summary."""
         if not self.force:
             return flow
         largest = forces_of(flow, window=self.window).largest
@@ -70,7 +70,7 @@ class Limit(Record):
         return flow.ending({self.quantity: max(largest[name] for name in solids)})
 
     def scatter(self, scene: Scene) -> float:
-        """Expected standard deviation from flow to flow before repeated runs show it."""
+        """Expected standard deviation from flow to flow, before repeated runs have measured it."""
         return FORCE_SCATTER * self.below if self.force else SCATTER_CELLS * scene.domain.cell
 
     def check(self, scene: Scene) -> None:
@@ -94,52 +94,52 @@ class Limit(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Budget(Record):
-    """What the MPM may spend."""
+    """The budget of MPM runs."""
 
     runs: Annotated[int | None, counted(1)] = None
-    """Runs for the emulator, at most; 20 and 20 for each number, chosen or uncertain, where absent."""
+    """Largest number of runs for the emulator; by default 20 plus 20 for each variable and uncertain number."""
     checks: Annotated[int, counted(20)] = 100
-    """Runs at the design, each of a fresh draw."""
+    """Runs at the design, each with a fresh draw."""
     seed: Annotated[int, counted(0, 2**62)] = 0
-    """Of random numbers."""
+    """Seed of the random numbers."""
     predictions: Annotated[int, counted(1000)] = 10_000
-    """Of a surrogate, where one predicts."""
+    """Number of predictions by a surrogate, if one is used."""
     pairs: Annotated[int, counted(4)] = 8
-    """Runs of the MPM that show the errors of a surrogate before its predictions."""
+    """MPM runs that measure the errors of a surrogate before it predicts."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Keys(Record):
-    """What a design problem and its file have in common."""
+    """The keys that a design problem and its file have in common."""
 
     variables: tuple[Parameter, ...]
-    """What is chosen: d, K numbers."""
+    """Design variables: d, K numbers."""
     uncertain: tuple[Parameter, ...] = ()
-    """What is not known when the barriers are built: u, Q numbers."""
+    """Numbers that are unknown when the barriers are built: u, Q numbers."""
     correlations: tuple[Correlation, ...] = ()
-    """Of the priors of pairs of them."""
+    """Correlations of pairs of their priors."""
     limit: Limit
     surrogate: Literal["none", "gns", "coarse"] = "none"
-    """What predicts flows in thousands (`validation.design.race`): the learned surrogate, or the MPM on cells twice as
-    large; without, an emulator of runs."""
+    """The predictor of thousands of flows (`validation.design.race`): the learned surrogate, or the MPM on cells twice
+    as large; "none": an emulator of MPM runs instead."""
     cost: dict[str, float] = field(default_factory=dict)
-    """Variable -> the price of a unit of it; without any the most reliable design is looked for."""
+    """Variable -> price per unit; without any price, the most reliable design is sought."""
     budget: Budget = field(default_factory=Budget)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FieldFile(Record):
-    """Unknown fields by draws of their posterior."""
+    """Unknown fields, given by draws from their posterior."""
 
     problem: str
-    """The inverse problem that they are the unknowns of: a path or a shipped name."""
+    """The inverse problem whose unknowns they are: a path or a shipped name."""
     draws: str
     """`field.npz` of its result."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DesignFile(_Keys):
-    """A design problem as it stands in its file."""
+    """A design problem as its file states it."""
 
     scene: str | dict[str, Any]
     posterior: str | None = None
@@ -153,11 +153,11 @@ class DesignProblem(_Keys):
     name: str
     scene: Scene
     samples: Matrix | None = None
-    """Of the posterior of the last of the uncertain numbers, of equal weight, shape [S, Q']."""
+    """Samples of equal weight from a posterior of the last Q' uncertain numbers, shape [S, Q']."""
     fields: tuple[tuple[UnknownField, Matrix], ...] = ()
-    """Unknown fields, each with draws of its posterior, shape [S, K]; of one draw all are together."""
+    """Unknown fields, each with S draws from its posterior, shape [S, K]; draws of the same index belong together."""
     remarks: Sequence[str] = ()
-    """What is to be said of the posterior, a sentence each."""
+    """Remarks on the posterior, a sentence each."""
 
     def __post_init__(self) -> None:
         by_key = dict[str, Parameter]()
@@ -183,7 +183,7 @@ class DesignProblem(_Keys):
 
     @property
     def numbers(self) -> tuple[Parameter, ...]:
-        """Chosen, then uncertain: K + Q."""
+        """The variables, then the uncertain numbers: K + Q."""
         return (*self.variables, *self.uncertain)
 
     @cached_property
@@ -192,61 +192,61 @@ class DesignProblem(_Keys):
 
     @cached_property
     def box(self) -> Box:
-        """Of all of them and, where there are fields, of which draw of them: a share of these."""
+        """The ranges of all numbers and, if there are fields, of the index of their draw as a share in [0, 1]."""
         return Box(*np.array([*(number.bounds for number in self.numbers), *([(0.0, 1.0)] if self.fields else [])]).T)
 
     @property
     def joint(self) -> int:
-        """Q', how many of the numbers are of a posterior."""
+        """Q', the number of uncertain numbers that come from a posterior."""
         return 0 if self.samples is None else self.samples.shape[1]
 
     @cached_property
     def prior(self) -> JointPrior | None:
-        """Of the uncertain numbers but those of a posterior. Raises InputError, which names the key."""
+        """The prior of the uncertain numbers that come from no posterior. Raises InputError, which names the key."""
         alone = self.uncertain[: len(self.uncertain) - self.joint]
         return JointPrior({number.name: number.marginal for number in alone}, self.correlations) if alone else None
 
     @property
     def unit(self) -> str:
-        """Of what is limited."""
+        """Unit of the limited quantity."""
         force = "N/m" if self.scene.dimension == 2 else "N"
         return force if self.limit.force else "m"
 
     @property
     def runs(self) -> int:
-        """Runs for the emulator, at most."""
+        """Largest number of runs for the emulator."""
         return 20 + 20 * len(self.numbers) if self.budget.runs is None else self.budget.runs
 
     @property
     def allowed(self) -> int:
-        """Flows of the check that may exceed the limit: a share of 1 - p."""
+        """Number of flows in the check that may exceed the limit: a share of 1 - p."""
         return int((1.0 - self.limit.probability) * self.budget.checks + 1e-9)
 
     @property
     def required(self) -> float:
-        """The probability that a design is to have: so far above p that it passes the check by `ASSURANCE`."""
+        """The required probability of a design: above p, so that it passes the check with probability `ASSURANCE`."""
         return 1.0 - float(stats.beta.ppf(1.0 - ASSURANCE, self.allowed + 1, self.budget.checks - self.allowed))
 
     def named(self, design: Row) -> dict[str, float]:
-        """The variables by name of a design [K] in fractions of the ranges."""
+        """Variable name -> value, for a design [K] in fractions of the ranges."""
         both = zip(self.variables, self.values(design), strict=True)
         return {variable.name: float(value) for variable, value in both}
 
     def values(self, designs: Matrix) -> Matrix:
-        """The variables of designs [..., K] in fractions of their ranges, in their own units, shape [..., K]."""
+        """The variables in their own units, shape [..., K], of designs [..., K] in fractions of the ranges."""
         known = len(self.variables)
         return np.asarray(self.box.lower[:known] + self.box.range[:known] * designs)
 
     def price(self, designs: Matrix) -> Row:
-        """c . d of designs [..., K] in fractions of their ranges, shape [...]; 0 without a cost."""
+        """The cost c . d, shape [...], of designs [..., K] in fractions of the ranges; 0 without prices."""
         prices = np.array([self.cost.get(variable.name, 0.0) for variable in self.variables])
         return np.asarray(self.values(designs) @ prices)
 
     def draws(self, count: int, rng: np.random.Generator) -> Matrix:
-        """Draws of what is uncertain, in fractions of the ranges: one in each of `count` parts, shape [count, Q].
+        """Stratified draws of the uncertain numbers, in fractions of the ranges, shape [count, Q].
 
-        The parts are as likely, of every number (McKay, Beckman & Conover, A comparison of three methods for selecting
-        values of input variables, Technometrics 21 (1979) 239-245); those of a posterior, of the first of its numbers.
+        Each number, of a posterior only the first, has one draw in each of `count` equally likely strata (McKay et al.,
+        A comparison of three methods for selecting values of input variables, Technometrics 21 (1979) 239-245).
         """
         alone, offset = len(self.uncertain) - self.joint, len(self.variables)
         levels = qmc.LatinHypercube(alone + (self.joint > 0) + bool(self.fields), rng=rng).random(count)
@@ -266,21 +266,21 @@ class DesignProblem(_Keys):
         return replace(scene, seed=seed)
 
     def scenes_at(self, points: Matrix, first: int) -> list[Scene]:
-        """The scenes at points [n, K + Q] in fractions of the ranges, to a millionth: a run is found again by them.
+        """The scenes at points [n, K + Q] in fractions of the ranges, rounded to a millionth: they identify a run.
 
-        first: number of the first flow, of which its jitter seed follows.
+        first: number of the first flow, which determines its jitter seed.
         """
         values = enumerate(self.box.at(np.round(points, 6)), first)
         return [self.scene_at(row, jitter_seed(self.scene.seed, number)) for number, row in values]
 
 
 def with_draws(design: Row, draws: Matrix) -> Matrix:
-    """All numbers [n, K + Q] of a design [K] with each of the draws [n, Q] of what is uncertain."""
+    """All numbers [n, K + Q]: a design [K] combined with each of the draws [n, Q] of the uncertain numbers."""
     return np.hstack([np.tile(design, (len(draws), 1)), draws])
 
 
 def read_design(name: str | Path) -> DesignProblem:
-    """Read the design problem at a path or of a shipped name. Raises InputError, which names the file and the key."""
+    """Read a design problem from a path or by a shipped name. Raises InputError, which names the file and the key."""
     path = find(name, DESIGNS, "design problem")
     with naming(path):
         file = from_mapping(DesignFile, read_toml(path))

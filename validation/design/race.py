@@ -1,16 +1,16 @@
-"""The cheapest design by thousands of predictions: designs race, each over more and more draws of what is uncertain.
+"""The cheapest design by thousands of predictions: designs race, each over ever more draws of the uncertain numbers.
 
-The probability P(d) of a design that keeps the limit in k of n predictions lies in the interval of Clopper & Pearson.
-Designs whose upper end is below the required probability are out; the next predictions go to the cheapest of the
-others (as races among configurations do: Maron & Moore, The racing algorithm: model selection for lazy learners, Artif.
-Intell. Rev. 11 (1997) 193-225), and to new designs near these. All designs see the same draws in the same order.
+If a design keeps the limit in k of n predictions, its probability P(d) lies in the interval of Clopper & Pearson. A
+design whose upper end is below the required probability drops out. The next predictions go to the cheapest remaining
+designs (as in Maron & Moore, The racing algorithm: model selection for lazy learners, Artif. Intell. Rev. 11 (1997)
+193-225) and to new designs near them. All designs see the same draws in the same order.
 
-A predictor errs: of P runs of the MPM that it predicts too, the differences e are added to its responses, each
-prediction with one of them,
+A predictor errs. P runs of the MPM that are also predicted give the differences e, MPM minus prediction. Each predicted
+response adds one of them,
 
     y = m(d, u) + e_i,    i = 1 .. P in turn
 
-so that its bias and its errors are those of the probability.
+so that the probability includes the predictor's bias and scatter.
 """
 
 import time
@@ -26,14 +26,14 @@ from validation.design.problem import DesignProblem, with_draws
 from validation.design.search import Checked
 
 Predict = Callable[[Matrix], Row]  # all numbers [n, K + Q] in fractions of their ranges -> responses [n]
-DESIGNS, FIRST = 64, 16  # designs that fill the box at first, and draws of each
-TURN, NEXT = 8, 32  # designs that a round goes on with, and as many new ones; further draws of each
-MOST = 512  # draws of a design, at most
-SETTLED = 256  # draws from which on a design can win
-OUTSIDE = 0.05  # probability that a design which is good enough is out, in a round
-SHARES = (0.75, 0.25)  # of the predictions: before the first check, and before a second one
+DESIGNS, FIRST = 64, 16  # initial designs, which fill the box; draws of each
+TURN, NEXT = 8, 32  # designs that continue in a round, with as many new ones; further draws of each
+MOST = 512  # largest number of draws of a design
+SETTLED = 256  # draws that a design needs to win
+OUTSIDE = 0.05  # probability that a good enough design drops out in a round
+SHARES = (0.75, 0.25)  # shares of the predictions before the first check and before the second
 NEAR, NEARER = 0.15, 0.97
-"""Of the ranges: deviation of new designs from those that lead at first, and how it shrinks from round to round."""
+"""Standard deviation of new designs from the leading ones, over the ranges, at first; its factor for each round."""
 
 
 @dataclass(eq=False)
@@ -43,7 +43,7 @@ class Entry:
     design: Row
     """In fractions of the ranges, shape [K]."""
     responses: Row = field(default_factory=lambda: np.zeros(0))
-    """As they were predicted, of the first n draws, shape [n]."""
+    """Predicted responses for the first n draws, shape [n]."""
 
 
 class Race:
@@ -53,7 +53,7 @@ class Race:
         self.problem, self.predict = problem, predict
         self.rng = np.random.default_rng([problem.budget.seed, 5])
         draws = problem.draws(MOST, self.rng)
-        # Any first part of them fills the distribution.
+        # Shuffled, so that any first part of the draws covers the distribution.
         self.draws = draws[self.rng.permutation(MOST)]
         self.errors = np.zeros(1)
         """e [P]."""
@@ -62,39 +62,39 @@ class Race:
         self.spent, self.rounds = 0, 0
 
     def kept(self, entry: Entry) -> tuple[int, int]:
-        """In how many of its n draws a design keeps the limit; and n."""
+        """The number of draws in which a design keeps the limit, and the number n of its draws."""
         errors = np.resize(self.errors, len(entry.responses))
         return int(np.sum(entry.responses + errors < self.problem.limit.below)), len(entry.responses)
 
     def probability(self, entry: Entry) -> float:
-        """P, with a uniform prior."""
+        """P(d), estimated with a uniform prior."""
         good, count = self.kept(entry)
         return (good + 1.0) / (count + 2.0)
 
     def highest(self, entry: Entry) -> float:
-        """Upper end of the interval of P."""
+        """Upper end of the interval of P(d)."""
         good, count = self.kept(entry)
         return 1.0 if good == count else float(beta.ppf(1.0 - OUTSIDE, good + 1, count - good))
 
     def rank(self, entry: Entry) -> tuple[float, float]:
-        """What is better comes first: cheap designs or, where nothing has a price, reliable ones."""
+        """Sorting key, better designs first: the cheaper ones or, if nothing has a price, the more reliable ones."""
         price = float(self.problem.price(entry.design))
         return (price, -self.probability(entry)) if self.problem.cost else (-self.probability(entry), 0.0)
 
     @property
     def settled(self) -> list[Entry]:
-        """The designs that are known well."""
+        """The designs with at least `SETTLED` draws."""
         return [entry for entry in self.entries if len(entry.responses) >= SETTLED]
 
     @property
     def best(self) -> Entry:
-        """The best of those that are known well and good enough, else the most reliable one."""
+        """The best of the settled designs that are good enough, else the most reliable one."""
         settled = self.settled or self.entries
         good = [entry for entry in settled if self.probability(entry) >= self.problem.required]
         return min(good, key=self.rank) if good else max(settled, key=self.probability)
 
     def run(self, predictions: int) -> None:
-        """Race on with so many predictions."""
+        """Continue the race with so many more predictions."""
         end = self.spent + predictions
         while self.spent < end:
             leaders = self.leaders()
@@ -112,18 +112,18 @@ class Race:
             self.rounds += 1
 
     def leaders(self) -> list[Entry]:
-        """Designs that may be the best one and have draws left, the best first."""
+        """Designs that may be the best and have draws left, the best first."""
         best, able = self.best, [entry for entry in self.entries if len(entry.responses) < MOST]
         may = [entry for entry in able if self.highest(entry) >= self.problem.required]
         if self.problem.cost and self.probability(best) >= self.problem.required and len(best.responses) >= SETTLED:
             may = [entry for entry in may if self.rank(entry)[0] < self.rank(best)[0]] or [best]
-        # Those that seem good enough, then those that are nearest to it.
+        # Designs that seem good enough, then those nearest to it.
         good = [entry for entry in may if self.probability(entry) >= self.problem.required]
         others = sorted((entry for entry in may or able if entry not in good), key=self.probability, reverse=True)
         return [*sorted(good, key=self.rank), *others]
 
     def advance(self, entries: list[Entry]) -> None:
-        """More draws of each."""
+        """Predict more draws of each design."""
         pieces = [self.draws[len(entry.responses) :][: NEXT if len(entry.responses) else FIRST] for entry in entries]
         points = [with_draws(entry.design, piece) for entry, piece in zip(entries, pieces, strict=True)]
         responses = self.predict(np.concatenate(points))
@@ -135,14 +135,14 @@ class Race:
 
 @dataclass(frozen=True, kw_only=True)
 class RacedDesign(Checked):
-    """One that predictions found."""
+    """A design found by predictions."""
 
     race: Race
     winner: Entry
     pairs: tuple[Row, Row]
-    """What the predictor and the MPM say of the same flows, shape [P] each."""
+    """Responses of the same flows by the predictor and by the MPM, shape [P] each."""
     predicting: float
-    """Seconds of the predictor."""
+    """Time of the predictor [s]."""
 
     @property
     def expected(self) -> float:
@@ -150,15 +150,15 @@ class RacedDesign(Checked):
 
     @property
     def spent(self) -> int:
-        """Runs of the MPM in all."""
+        """Total number of MPM runs."""
         return len(self.pairs[0])
 
 
 def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, int], Row]) -> RacedDesign:
-    """The design that wins, checked by flows that `respond` makes, which takes the number of the first flow too.
+    """The winning design, checked by flows of `respond`, which also takes the number of the first flow.
 
-    A first few flows show the errors of the predictor; where the check refuses the design, its flows do, too, and the
-    race goes on for a second design.
+    A few initial flows measure the errors of the predictor. If the check refuses the design, the flows of the check
+    measure them too, and the race continues for a second design.
     """
     began, predicting = time.perf_counter(), 0.0
     race, rng = Race(problem, predict), np.random.default_rng([problem.budget.seed, 6])

@@ -1,20 +1,20 @@
-"""The probability that a design keeps the limit, by an emulator of the MPM, and where runs tell most of it.
+"""The probability that a design keeps the limit, by an emulator of the MPM, and where further runs improve it most.
 
-The emulator (`inverse.posterior.emulator`) is of the response y over all numbers at once, chosen d and uncertain u:
+The emulator (`inverse.posterior.emulator`) predicts the response y from all numbers, variables d and uncertain u:
 
     P(d) = mean over u of T_nu((L - m(d, u)) / s(d, u)),    s^2 = k (V + S)
 
 | symbol | variable | meaning |
 |---|---|---|
-| m, V, S | `Emulator.predict`, `scatter` | mean over jitter seeds, how little of it is known, scatter of one flow |
-| k, nu | `variance_ratio`, `freedom` | how much more than stated the emulator errs there, its degrees of freedom |
+| m, V, S | `Emulator.predict`, `scatter` | mean over jitter seeds, variance of that mean, scatter of one flow |
+| k, nu | `variance_ratio`, `freedom` | factor by which the emulator errs more than stated, its degrees of freedom |
 | T | - | Student's distribution function |
 
-Waves of runs go where they shrink V most near the limit state m = L, at the best design so far and at cheaper ones
-that may yet keep the limit (the targeted mean squared error of Picheny, Ginsbourger, Roustant, Haftka & Kim, Adaptive
-designs of experiments for accurate approximation of a target region, J. Mech. Des. 132 (2010) 071008: the criterion U
-of Echard, Gayton & Lemaire, AK-MCS, Struct. Saf. 33 (2011) 145-154, is for responses without scatter, one run at a
-time).
+Waves of runs are placed where they reduce V most near the limit state m = L, at the best design so far and at cheaper
+ones that may still keep the limit (the targeted mean squared error of Picheny, Ginsbourger, Roustant, Haftka & Kim,
+Adaptive designs of experiments for accurate approximation of a target region, J. Mech. Des. 132 (2010) 071008; the
+criterion U of Echard, Gayton & Lemaire, AK-MCS, Struct. Saf. 33 (2011) 145-154, applies to responses without scatter,
+one run at a time).
 """
 
 from dataclasses import dataclass, replace
@@ -32,32 +32,32 @@ from inverse.search.waves import ModelRun, WaveSearch
 from validation.design.problem import DesignProblem
 
 DRAWS = 256
-"""Draws of what is uncertain, over which a probability is the mean: of few, a quantile is too near the middle."""
+"""Draws of the uncertain numbers in the mean of a probability: of too few, quantiles lie too near the median."""
 RIVALS, CANDIDATES = 7, 64
-"""Cheaper designs that may keep the limit, at which a wave looks besides the best one; draws at each of them."""
-NEAR = 0.1  # of the ranges: deviation from the best design of half of those among which rivals are looked for
+"""Cheaper designs that may keep the limit, which a wave considers besides the best one; draws at each of them."""
+NEAR = 0.1  # standard deviation from the best design, over the ranges, of half of the candidates for rivals
 SURE = 0.25
-"""Of 1 - p: decrease of P by a mean that is a standard deviation larger, below which further runs decide little."""
-GENERATIONS, POPULATION = 40, 8  # of the search for the best design; members for each variable
+"""Further runs decide little if a mean larger by a standard deviation lowers P by less than this share of 1 - p."""
+GENERATIONS, POPULATION = 40, 8  # generations of the search for the best design; members for each variable
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reliability:
-    """What runs say of designs."""
+    """The reliability of designs, estimated from runs."""
 
     problem: DesignProblem
     points: Matrix
-    """Of the runs, in fractions of the ranges, shape [n, K + Q]."""
+    """All numbers of the runs, in fractions of the ranges, shape [n, K + Q]."""
     responses: Row
     """Shape [n]."""
 
     def updated(self, search: "WaveSearch[ModelRun, Reliability]") -> "Reliability":
-        """By all runs of `search`."""
+        """The estimate from all runs of `search`."""
         return replace(self, points=search.points, responses=search.numbers[:, 0])
 
     @cached_property
     def emulator(self) -> Emulator:
-        """Of the response."""
+        """Emulator of the response."""
         numbers = self.responses[:, None]
         expected = np.array([self.problem.limit.scatter(self.problem.scene)])
         deviation, repeats = repeated_scatter(self.points, numbers, expected)
@@ -65,7 +65,7 @@ class Reliability:
 
     @cached_property
     def draws(self) -> Matrix:
-        """Of what is uncertain, the same for every design, shape [DRAWS, Q]."""
+        """Draws of the uncertain numbers, the same for every design, shape [DRAWS, Q]."""
         return self.problem.draws(DRAWS, np.random.default_rng([self.problem.budget.seed, 1]))
 
     def joined(self, designs: Matrix, count: int = DRAWS) -> Matrix:
@@ -73,7 +73,7 @@ class Reliability:
         return np.hstack([np.repeat(designs, count, axis=0), np.tile(self.draws[:count], (len(designs), 1))])
 
     def probability(self, designs: Matrix, *, error: float = 0.0) -> Row:
-        """P of designs [S, K], shape [S]; error: by so many standard deviations of V the mean is larger."""
+        """P of designs [S, K], shape [S]; error: number of standard deviations, of variance V, added to the mean."""
         points = self.joined(designs)
         mean, variance, total = self.moments(points)
         if error:
@@ -89,10 +89,10 @@ class Reliability:
 
     @cached_property
     def best(self) -> Row:
-        """The cheapest design with the required P, the most reliable one where there is none or no cost, shape [K].
+        """The cheapest design with the required P; the most reliable one if there is none or no cost. Shape [K].
 
-        P is that of a mean a standard deviation larger than expected: an optimum is where an emulator errs to its
-        favour. By differential evolution with Lampinen's rule for constraints, as SciPy has it.
+        P is computed with a mean one standard deviation larger than expected, because an optimum favours places where
+        the emulator errs low. The search is SciPy's differential evolution with Lampinen's rule for constraints.
         """
         problem, rng = self.problem, np.random.default_rng([self.problem.budget.seed, 2])
 
@@ -122,17 +122,17 @@ class Reliability:
 
     @cached_property
     def cautious(self) -> float:
-        """The same were the mean a standard deviation larger."""
+        """P of the best design if the mean were a standard deviation larger."""
         return float(self.probability(self.best[None], error=1.0)[0])
 
     @property
     def price(self) -> float:
-        """Of the best design."""
+        """Cost of the best design."""
         return float(self.problem.price(self.best))
 
     @property
     def decided(self) -> bool:
-        """Whether further runs decide little: far from the probability that is asked for less has to be known of it."""
+        """Whether further runs decide little: far below the limit's probability a rough estimate is enough."""
         probability = self.problem.limit.probability
         far = (probability - self.expected) / 3.0
         return self.expected - self.cautious < max(SURE * (1.0 - probability), far)
@@ -144,7 +144,7 @@ class Reliability:
         return runs | {"probability": self.expected, "cautious": self.cautious}
 
     def next_points(self, count: int, rng: np.random.Generator) -> Matrix:
-        """Where a wave runs, shape [count, K + Q]."""
+        """The points of the next wave, shape [count, K + Q]."""
         problem = self.problem
         anywhere = rng.random((CANDIDATES, len(problem.variables)))
         designs = np.vstack([anywhere, np.clip(self.best + NEAR * rng.standard_normal(anywhere.shape), 0.0, 1.0)])

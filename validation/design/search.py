@@ -1,9 +1,9 @@
-"""The cheapest design that keeps the limit as often as asked: waves of runs of the MPM, then its check by the MPM.
+"""The cheapest design that keeps the limit with a given probability: waves of MPM runs, then a check by the MPM.
 
-The check is flows of the MPM at the design, each of a fresh draw of u and of the jitter. The probability has the
+The check consists of MPM flows at the design, each with a fresh draw of u and of the jitter. The probability has the
 interval of Clopper & Pearson (The use of confidence or fiducial limits illustrated in the case of the binomial,
-Biometrika 26 (1934) 404-413), rather too wide than too narrow for draws that fill their distribution evenly
-(Hoeffding, On the distribution of the number of successes in independent trials, Ann. Math. Stat. 27 (1956) 713-721).
+Biometrika 26 (1934) 404-413), which is conservative for stratified draws (Hoeffding, On the distribution of the number
+of successes in independent trials, Ann. Math. Stat. 27 (1956) 713-721).
 """
 
 import time
@@ -24,28 +24,28 @@ from validation.design.reliability import Reliability
 Respond = Callable[[Matrix, int], Row]
 """All numbers [n, K + Q] in fractions of their ranges, and the number of the first flow -> responses [n]."""
 FIRST = 8
-"""First runs, for each number: of ten that are usual (Loeppky, Sacks & Welch, Technometrics 51 (2009) 366-376) two are
-left to the waves."""
-SETTLED = 0.02  # of the range of the cost: change from wave to wave, below which it is the cheapest design's
-ROUNDS = 2  # checks, at most: flows of the first inform the emulator where too many exceed
+"""First runs for each number: of the usual ten (Loeppky, Sacks & Welch, Technometrics 51 (2009) 366-376), two are left
+to the waves."""
+SETTLED = 0.02  # change of the cost from wave to wave, over its range, below which the search has converged
+ROUNDS = 2  # largest number of checks: if too many flows of the first exceed the limit, they inform the emulator
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """A design, with what the MPM says of it."""
+    """A design with its check by the MPM."""
 
     problem: DesignProblem
     best: Row
     """In fractions of the ranges, shape [K]."""
     points: Matrix
-    """Of the flows of the check, in fractions of the ranges, shape [N, K + Q]."""
+    """All numbers of the check's flows, in fractions of the ranges, shape [N, K + Q]."""
     responses: Row
-    """Of the flows of the check, shape [N]."""
+    """Responses of the check's flows, shape [N]."""
     seconds: float
     remark: str = ""
-    """What must be known of these flows besides."""
+    """A remark on these flows."""
     moving: int = 0
-    """Flows of the check that keep the limit at their end but still move, where they may go on to exceed it."""
+    """Number of flows in the check that keep the limit at their end but still move, and may yet exceed it."""
 
     @property
     def expected(self) -> float:
@@ -54,7 +54,7 @@ class Checked:
 
     @property
     def design(self) -> dict[str, float]:
-        """Each variable by name."""
+        """Variable name -> value."""
         return self.problem.named(self.best)
 
     @property
@@ -63,20 +63,20 @@ class Checked:
 
     @property
     def exceeding(self) -> int:
-        """Flows of the check at the limit or beyond."""
+        """Number of flows in the check at the limit or beyond."""
         return int(np.sum(self.responses >= self.problem.limit.below))
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of the probability that the limit is kept, by the check (Clopper & Pearson, 95 %)."""
+        """95 % interval of the probability that the limit is kept, from the check (Clopper & Pearson)."""
         bounds = binomtest(len(self.responses) - self.exceeding, len(self.responses)).proportion_ci(0.95)
         return float(bounds.low), float(bounds.high)
 
     @property
     def verdict(self) -> Verdict:
-        """Confirmed where no larger share of the check exceeds the limit, or may once it rests, than 1 - p.
+        """Confirmed if at most a share 1 - p of the check's flows exceeds the limit, or may do so once at rest.
 
-        Unreachable where a larger one does, and no design between the bounds is expected to do better than p.
+        Unreachable if a larger share exceeds it and no design within the bounds is expected to reach p.
         """
         if self.exceeding + self.moving <= self.problem.allowed:
             return Verdict.CONFIRMED
@@ -86,14 +86,14 @@ class Checked:
 
 @dataclass(frozen=True, kw_only=True)
 class Design(Checked):
-    """One that waves of runs found."""
+    """A design found by waves of runs."""
 
     search: WaveSearch[ModelRun, Reliability]
-    """Its last runs are the flows of the check."""
+    """The search, whose last runs are the flows of the check."""
 
     @property
     def reliability(self) -> Reliability:
-        """What the runs before the check say."""
+        """The estimate from the runs before the check."""
         return self.search.knowledge
 
     @property
@@ -102,12 +102,12 @@ class Design(Checked):
 
     @property
     def spent(self) -> int:
-        """Runs that were no check."""
+        """Number of runs without the checks."""
         return self.problem.runs - self.search.left
 
 
 def designed(problem: DesignProblem, respond: Respond) -> Design:
-    """The design, checked by flows that `respond` makes."""
+    """The design, checked by flows of `respond`."""
     began, count = time.perf_counter(), len(problem.numbers)
 
     def run(points: Matrix, first: int) -> list[ModelRun]:
@@ -121,7 +121,7 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
         search = searched(search)
         best, draws = search.knowledge.best, problem.draws(problem.budget.checks, search.generator(3 + turn))
         points = with_draws(best, draws)
-        # Checks are no part of the budget.
+        # Checks do not count towards the budget.
         search = replace(search, budget=search.budget + len(points)).ran(points)
         responses, seconds = search.numbers[-len(points) :, 0], time.perf_counter() - began
         design = Design(problem=problem, search=search, best=best, points=points, responses=responses, seconds=seconds)
@@ -131,7 +131,7 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
 
 
 def searched(search: WaveSearch[ModelRun, Reliability]) -> WaveSearch[ModelRun, Reliability]:
-    """With waves of runs until two in a row decide little and change little, or the budget is spent."""
+    """The search after waves of runs, until two in a row decide and change little or the budget is spent."""
     problem, before = search.knowledge.problem, len(search.waves)
     prices = problem.price(np.vstack([np.zeros(len(problem.variables)), np.eye(len(problem.variables))]))
     change = SETTLED * float(np.abs(prices[1:] - prices[0]).sum())

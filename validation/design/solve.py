@@ -21,22 +21,21 @@ from validation.design.search import Design, designed
 from validation.plots import BLUE, GREY, ORANGE, figure
 from validation.run_store import RunStore, caveats, kept
 
-STATIONS = 25  # along each variable, in the picture
+STATIONS = 25  # points along each variable in the picture
 
 
 def find_design(
     problem: DesignProblem | str | Path, out: Path | str | None = None, *, simulate: Simulate = simulate_many
 ) -> Design | RacedDesign:
-    """The cheapest design that keeps the limit as often as asked, checked by the MPM.
+    """Find the cheapest design that keeps the limit with the given probability, checked by the MPM.
 
     >>> from validation import find_design
     >>> found = find_design("two-barriers", "out/design")
     >>> print(found.verdict, found.design, found.exceeding, found.interval)
 
-    problem: one built in Python, the path of a TOML file or the name of a shipped one. out: folder for `design.json`,
-    `report.md`, a picture and every flow, where an interrupted command goes on; without it nothing is written.
-    simulate: in place of the MPM. Raises InputError, and WorkFailed where a run of the MPM blows up or another process
-    writes into `out`.
+    problem: one built in Python, the path of a TOML file or a shipped name. out: folder for `design.json`, `report.md`,
+    a picture and every flow; an interrupted call resumes there. Without it nothing is written. simulate: replaces the
+    MPM. Raises InputError, and WorkFailed if an MPM run blows up or another process writes into `out`.
     """
     asked = problem if isinstance(problem, DesignProblem) else read_design(problem)
     limit = asked.limit
@@ -54,7 +53,7 @@ def find_design(
             outcome = raced(asked, predictor(asked, simulate), respond)
         # The last flows are those of the check.
         remarks = caveats(flows)
-        # On deposits, which a force does not depend on.
+        # The remarks are on deposits, on which a force does not depend.
         if remarks and not limit.force:
             moving = [still_moves(flow.summary) and flow.summary[limit.quantity] < limit.below for flow in flows]
             outcome = replace(outcome, remark=remarks[0], moving=sum(moving))
@@ -119,30 +118,30 @@ def summary(outcome: Design | RacedDesign) -> list[str]:
     if isinstance(outcome, Design):
         model = outcome.reliability
         before = (
-            f"by the emulator of {100.0 * model.expected:.1f} % ({100.0 * model.cautious:.1f} % where its mean is a "
-            "standard deviation too small)"
+            f"kept in {100.0 * model.expected:.1f} % of flows by the emulator ({100.0 * model.cautious:.1f} % if its "
+            "mean is a standard deviation too small)"
         )
-        spent = f"{outcome.spent} runs for the emulator, {len(outcome.search.runs) - outcome.spent} of checks"
+        spent = f"{outcome.spent} runs for the emulator, {len(outcome.search.runs) - outcome.spent} for checks"
     else:
         race, share = outcome.race, 100.0 * outcome.expected
         before = (
-            f"by {len(outcome.winner.responses)} of {race.spent} predictions, over {len(race.entries)} designs, of "
-            f"{share:.1f} %; the MPM differs from predictions by {race.errors.mean():+.3g} {problem.unit} on average "
-            f"and {race.errors.std():.3g} about that, which is counted"
+            f"kept in {share:.1f} % of flows by {len(outcome.winner.responses)} of {race.spent} predictions over "
+            f"{len(race.entries)} designs; this includes the error of predictions against the MPM, on average "
+            f"{race.errors.mean():+.3g} {problem.unit} with a standard deviation of {race.errors.std():.3g}"
         )
         spent = f"{outcome.spent} runs of the MPM; the predictions took {outcome.predicting:.0f} of"
     lines = [
         f"{problem.name}: {outcome.verdict}",
         f"design: {design}{cost}",
-        f"{limit.quantity} below {limit.below:.10g} {problem.unit}: asked of {100.0 * limit.probability:g} % of flows",
+        f"{limit.quantity} below {limit.below:.10g} {problem.unit}: limit for {100.0 * limit.probability:g} % of flows",
         before,
-        f"by the MPM of {checks - outcome.exceeding} of {checks} fresh flows, so of {100.0 * low:.1f} to "
-        f"{100.0 * high:.1f} % (95 %): {outcome.exceeding} exceed it where {problem.allowed} may, the largest is "
-        f"{outcome.responses.max():{'.1f' if on_map else '.4g'}} {problem.unit}",
+        f"kept in {checks - outcome.exceeding} of {checks} new MPM flows, so in {100.0 * low:.1f} to "
+        f"{100.0 * high:.1f} % of flows (95 %): {outcome.exceeding} exceed it where {problem.allowed} may, the largest "
+        f"is {outcome.responses.max():{'.1f' if on_map else '.4g'}} {problem.unit}",
         f"{spent}{',' if isinstance(outcome, Design) else ''} {outcome.seconds:.0f} s",
     ]
     if outcome.moving:
-        lines.append(f"{outcome.moving} of these flows still move and may yet exceed it: a longer duration decides")
+        lines.append(f"{outcome.moving} of these flows still move and may yet exceed it: choose a longer duration")
     return [*lines, *problem.remarks, *filter(None, [outcome.remark])]
 
 
@@ -169,7 +168,7 @@ def report(outcome: Design | RacedDesign) -> str:
 
 
 def draw_race(outcome: RacedDesign, path: Path) -> None:
-    """P of each design over its cost, and the MPM over the predictions of the same flows."""
+    """Plot P of each design over its cost, and the MPM's responses over the predictions of the same flows."""
     problem, race = outcome.problem, outcome.race
     with figure(path, rows=1, columns=2, size=(3.6, 3.2)) as axes:
         left, right = axes.flat
@@ -188,7 +187,7 @@ def draw_race(outcome: RacedDesign, path: Path) -> None:
 
 
 def draw(outcome: Design, path: Path) -> None:
-    """P by the emulator along each variable through the design; responses of the check over what is uncertain."""
+    """Plot P along each variable through the design, and the check's responses over the uncertain numbers."""
     problem, reliability, count = outcome.problem, outcome.reliability, len(outcome.problem.variables)
     values, limit = problem.box.at(outcome.points), problem.limit
     colours = np.where(outcome.responses >= limit.below, ORANGE, BLUE)

@@ -1,7 +1,7 @@
-"""A measured experiment as data: `NAME/experiment.toml` and the scenes beside it; and what it measures of a deposit.
+"""A measured experiment as data: `NAME/experiment.toml` and the scenes beside it; and its measurements of a deposit.
 
-Every number was read in a source, or worked out from such numbers; `status` says which. What the authors do not state
-is listed with the choice made for it.
+Every number was read in a source or derived from such numbers; `status` says which. Values that the authors do not
+state are listed with the choice made for them.
 """
 
 import itertools
@@ -27,26 +27,26 @@ FOLDER = Path(__file__).parent
 Floats = NDArray[np.float64]
 
 STATION = 2.0  # distance of a profile's stations in cells
-SURFACE_QUANTILE = 0.99  # of the particles' heights in a strip: the surface without the fate of single particles
+SURFACE_QUANTILE = 0.99  # of the particles' heights in a strip: the surface, robust against single particles
 REPOSE = "repose"  # name of the angle at which a flow stops: mu_s of mu(I)
 
 
 class Quantity(StrEnum):
-    """What was measured on a deposit."""
+    """The quantity measured on a deposit."""
 
-    FRONT = "front"  # x [m] that 99.5 % of the volume is behind; with `thicker_than` where the deposit ends
-    RADIUS = "radius"  # the same share by distance from the vertical axis
+    FRONT = "front"  # x [m] that 99.5 % of the volume is behind; with `thicker_than`, the end of the deposit
+    RADIUS = "radius"  # radius that contains the same share, from the vertical axis
     HEIGHT = "height"  # of the surface [m] next to the wall x = 0
-    PROFILE = "profile"  # root mean square difference of the heights [m], of which the measured value is 0
-    RADII = "radii"  # that of the radius over time
+    PROFILE = "profile"  # root mean square difference of the heights [m]; the measured value is 0
+    RADII = "radii"  # root mean square difference of the radius over time
 
 
 @dataclass(frozen=True, kw_only=True)
 class Angle(Record):
-    """An angle of friction of the material that was measured by itself, not on the flow."""
+    """A friction angle of the material that was measured independently, not on the flow."""
 
     name: str  # such as avalanche or repose
-    angle: str = "slope"  # how it is read: as `datasets.scene.material.Material.angle`
+    angle: str = "slope"  # its kind, as `datasets.scene.material.Material.angle`
     lower_deg: float  # smallest value in the sources [deg]
     upper_deg: float  # largest one [deg]
     status: Literal["read", "worked out"]
@@ -70,7 +70,7 @@ class Angle(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Grains(Record):
-    """How friction grows with the inertial number (`mpm.physics.inertial`)."""
+    """Constants of the growth of friction with the inertial number (`mpm.physics.inertial`)."""
 
     friction_growth: float  # mu_2 - mu_s [-]
     inertial_number: float  # I_0 [-]
@@ -81,7 +81,7 @@ class Grains(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """An angle of friction as a scene is computed with it."""
+    """A friction angle as used in the computation of a scene."""
 
     name: str
     deg: float
@@ -100,24 +100,24 @@ class Measured(Record):
     quantity: Quantity
     value: float = 0.0  # [m], from the wall x = 0
     spread: Annotated[float, Bounds("a positive length in m", gt=0.0)]
-    """One unit of its uncertainty [m]; where sources disagree, half of the band between them, `value` its middle."""
-    spread_from: str = ""  # where the spread comes from
+    """One unit of its uncertainty [m]; if sources disagree, half of the band between them, with `value` its middle."""
+    spread_from: str = ""  # origin of the spread
     status: Literal["read", "worked out"]
     source: str
-    explanation: str = ""  # why the computation may differ: printed where it does, by more than twice the spread
-    thicker_than: float | None = None  # thickness [m] by which the measurement defines a front: where it first is less
+    explanation: str = ""  # why the computation may differ; printed if it does by more than twice the spread
+    thicker_than: float | None = None  # thickness [m] that defines a measured front: where it first falls below this
     beside_walls: float | None = None
-    """In 3D, width [m] of the strips along both side walls over which a front by thickness is measured, as by a camera
-    that looks through a wall. The whole width where absent."""
+    """In 3D, width [m] of the strips along both side walls in which a front by thickness is measured, as by a camera
+    that looks through a wall. Default: the whole width."""
     within: float | None = None  # strip [m] next to the wall over which a height is measured
-    x: tuple[float, ...] = ()  # where the heights of a profile were measured [m], ascending
+    x: tuple[float, ...] = ()  # places of the measured heights of a profile [m], ascending
     heights: tuple[float, ...] = ()  # of the surface at `x` [m]
-    times: tuple[float, ...] = ()  # when radii were measured [s]
+    times: tuple[float, ...] = ()  # times of the measured radii [s]
     radii: tuple[float, ...] = ()  # at `times` [m]
 
     @property
     def single(self) -> bool:
-        """Whether it is one number, not a difference from many."""
+        """Whether it is a single number, not a difference from many."""
         return self.quantity not in (Quantity.PROFILE, Quantity.RADII)
 
     def __post_init__(self) -> None:
@@ -135,12 +135,12 @@ class Measured(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Case(Record):
-    """A scene and what was measured in it."""
+    """A scene and its measurements."""
 
     name: str
     scene: str  # file of the scene, beside the experiment
-    cells: tuple[float, float] | None = None  # its own grid cells [m]; the experiment's where absent
-    measured: tuple[Measured, ...]  # the first one is a front or a radius: an angle is inferred from it
+    cells: tuple[float, float] | None = None  # its own grid cells [m]; default: the experiment's
+    measured: tuple[Measured, ...]  # the first is a front or a radius, from which an angle is inferred
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -149,13 +149,13 @@ class Case(Record):
 
     @property
     def extent(self) -> Measured:
-        """The measured number that an angle is inferred from."""
+        """The measured number from which an angle is inferred."""
         return self.measured[0]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variant(Record):
-    """What a prediction is computed with, where sources differ."""
+    """A variant of a prediction's constants, if sources differ."""
 
     name: str
     consolidation: Annotated[float, Bounds("a positive coefficient in m^2/s", gt=0.0)]  # c_v [m^2/s]
@@ -164,7 +164,7 @@ class Variant(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction(Record):
-    """A scene with no measured number beside it: when its flow arrives at gauges, and how thick it is there."""
+    """A scene without measured numbers: times of arrival at gauges, and the thickness there."""
 
     name: str
     scene: str  # file of the scene, beside the experiment
@@ -184,14 +184,14 @@ class Experiment(Record):
     source: str
     licence: str
     angles: tuple[Angle, ...] = ()
-    """The material's own; the first is the one to compute with. None: an angle is inferred, nothing is predicted."""
-    grains: Grains | None = None  # how their friction grows with the rate; nothing is known of it where absent
+    """The material's angles; computations use the first. Without any, an angle is inferred and nothing predicted."""
+    grains: Grains | None = None  # growth of friction with the rate, if known
     cells: tuple[float, float]  # grid cells, the coarse and the fine one [m]
     cases: tuple[Case, ...] = ()
     predictions: tuple[Prediction, ...] = ()
     assumptions: tuple[dict[Literal["what", "choice", "reason"], str], ...] = ()
-    """The choices for what the authors do not state."""
-    folder: Path = FOLDER  # where its file and its scenes lie
+    """The choices for values that the authors do not state."""
+    folder: Path = FOLDER  # folder of its file and its scenes
 
     @property
     def name(self) -> str:
@@ -199,10 +199,10 @@ class Experiment(Record):
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """What its angles are computed with, by one rule.
+        """The readings of its angles, by one rule.
 
-        At the repose angle a flow stops: it is mu_s, and friction grows with the rate where that is known. At any other
-        one, an avalanche's, grains begin to flow: it is the friction of all of the flow.
+        At the repose angle a flow stops: the angle is mu_s, and friction grows with the rate if that is known. At any
+        other angle, such as an avalanche's, grains start to flow: it is the friction of the whole flow.
         """
         known = self.grains is not None
         return tuple(
@@ -211,7 +211,7 @@ class Experiment(Record):
         )
 
     def scene(self, case: Case, number: int, reading: Reading) -> Scene:
-        """The scene of a case on its coarse (0) or fine (1) cells, of grains of the friction of `reading`."""
+        """The scene of a case on its coarse (0) or fine (1) cells, with the friction of `reading`."""
         scene = read_scene(str(self.folder / case.scene))
         material = replace(scene.material, friction_deg=reading.deg, angle=reading.angle)
         if reading.rate and (grains := self.grains) is not None:
@@ -241,7 +241,7 @@ def read_experiments(folder: Path = FOLDER) -> list[Experiment]:
 
 
 def quantity(measured: Measured, flow: Trajectory) -> float:
-    """The quantity of `measured` [m] in the deposit of a flow, its last frame; of radii in all of its frames."""
+    """The quantity of `measured` [m] in the last frame of a flow; for radii, in all frames."""
     scene, positions = flow.scene, flow.positions[-1]
     if measured.quantity is Quantity.RADIUS:
         return radius(positions, flow.volumes)
@@ -261,14 +261,14 @@ def quantity(measured: Measured, flow: Trajectory) -> float:
 
 
 def radius(positions: Positions, volume: Floats) -> float:
-    """Distance from the vertical axis [m] that 99.5 % of the volume is within; positions: shape [N, D], volume: [N]."""
+    """Radius around the vertical axis [m] that contains 99.5 % of the volume; positions: [N, D], volume: [N]."""
     return front(np.hypot(positions[:, [0]], positions[:, [-1]]), volume)
 
 
 def mean_profile(scene: Scene, positions: Positions, stations: Floats, beside_walls: float | None = None) -> Floats:
     """Height of the deposit at its initial density [m] at `stations` [m], shape [S]; in 3D the mean over z.
 
-    beside_walls: width [m] of the strips along the walls z = 0 and z = width that the mean is over; all of it if None.
+    beside_walls: width [m] of the strips along the walls z = 0 and z = width in which the mean is taken; None: all.
     """
     volumes = particle_volumes(scene, len(positions))
     if scene.dimension == 2:
@@ -283,7 +283,7 @@ def mean_profile(scene: Scene, positions: Positions, stations: Floats, beside_wa
 def edge(stations: Floats, heights: Floats, thickness: float) -> float:
     """The x [m] beyond the highest station where a profile first falls below `thickness` [m], linear in between.
 
-    stations, heights: [m], shape [S] each; the last station where it never does.
+    stations, heights: [m], shape [S] each. The last station if it never does.
     """
     top = int(np.argmax(heights))
     below = top + np.flatnonzero(heights[top:] < thickness)

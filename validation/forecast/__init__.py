@@ -1,1 +1,1 @@
-"""Forecasts: the posterior of an inversion carried to another flow."""
+"""Forecasts: predictions of another flow with the posterior of an inversion."""

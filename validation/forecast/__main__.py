@@ -1,4 +1,4 @@
-"""`python -m validation.forecast RESULT SCENE --out DIR`: what an answer predicts of another flow."""
+"""`python -m validation.forecast RESULT SCENE --out DIR`: predicts another flow from the result of an inversion."""
 
 import sys
 from pathlib import Path
@@ -18,23 +18,23 @@ def main(
     pressure: float | None = None,
     scheduler: str | None = None,
 ) -> None:
-    """Forecast another flow with the posterior of an inversion: front, heights, forces, maps of probability.
+    """Forecast another flow with the posterior of an inversion: front, heights, forces, probability maps.
 
-    Leaves OUT/forecast.json, OUT/report.md, OUT/forecast.png, OUT/mpm, in 3D OUT/probability-*.tif. Running the same
-    command again after a kill uses the MPM runs that are there.
+    Writes OUT/forecast.json, OUT/report.md, OUT/forecast.png, OUT/mpm, and in 3D OUT/probability-*.tif. An interrupted
+    command, started again, reuses the MPM runs that are finished.
 
     Args:
         result: Folder of an inversion (`validation.loop` or `inverse`), or its posterior.npz.
         scene: Path of a scene in TOML, or the name of a shipped one.
         out: Folder for the results.
-        draws: Flows, each with a draw of the posterior and a jitter of its own.
+        draws: Number of flows, each with its own draw from the posterior and its own jitter.
         model_error: Relative standard deviation of the model itself, such as 0.1.
-        threshold: In 3D the thickness [m] above which a cell counts as covered; unless given as `datasets.maps` has it.
-        pressure: In 3D a pressure rho v^2 [Pa], whose probability is mapped too.
-        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the
+        threshold: In 3D, the thickness [m] above which a cell counts as covered; default as in `datasets.maps`.
+        pressure: In 3D, a pressure rho v^2 [Pa] whose probability of exceedance is mapped too.
+        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file. Its workers then run the
             MPM.
     """
-    # Imported here: torch takes seconds to load, and help has no use for it.
+    # Imported here: torch takes seconds to load, and --help does not need it.
     from contextlib import nullcontext
 
     from mpm import simulate_many

@@ -1,20 +1,20 @@
-"""What an answer predicts of another flow, and how surely.
+"""Predicts another flow from the posterior of an inversion, with intervals.
 
-Draws theta_s of the posterior of an inversion are run by the MPM in another scene: another slope, another release, with
-barriers. Each run has an initial jitter of its own, so the forecast of a number is the distribution of
+The MPM runs draws theta_s from the posterior of an inversion in another scene, such as another slope, another release
+or one with barriers. Each run has its own initial jitter, so the forecast of a number is the distribution of
 
     y_s = f_0 + (f(theta_s, jitter_s) + b_s d - f_0) (1 + r z_s),    d = h / (h - h') (f(theta_0; h) - f(theta_0; h'))
 
 | symbol | variable | meaning |
 |---|---|---|
-| f, f_0 | `numbers`, `start` | the number by the MPM on the scene's cells h; at the start, 0 of a height or a force |
-| d | `Forecast.cells` | error of the cells, by runs on others h' (half as large, in 3D twice) at the medians theta_0 |
+| f, f_0 | `numbers`, `start` | the number by the MPM on the scene's cells h; at the start, 0 for a height or a force |
+| d | `Forecast.cells` | error of the cells, from runs on cells h' (half as large, in 3D twice) at the medians theta_0 |
 | r | `model_error` | relative standard deviation of the model itself, as the user states it |
-| b, z | - | independent standard normal numbers: neither error is known by its sign |
+| b, z | - | independent standard normal numbers, because the sign of either error is unknown |
 
-An interval of S draws ends at quantiles of rank p (S + 1), so that a further flow lies within it with its probability.
-In 3D the share of the draws in which a cell of the plan is covered, or hit, is a map of that probability; the errors of
-the cells and of the model are not in the maps.
+The ends of an interval of S draws are quantiles of rank p (S + 1), so that a further flow lies within the interval with
+its stated probability. In 3D, the share of draws in which a cell in plan is covered, or hit, maps that probability; the
+maps do not include the errors of the cells and of the model.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,29 +39,29 @@ from mpm import ALL, LAST, Recording
 from validation.loop.verdict import other_cells
 from validation.run_store import RunStore, caveats
 
-PEAKS = "peaks"  # what the summary of a run keeps of all its frames: see `with_peaks`
-CHECKS = 2  # runs on the cells of the scene, and on others, by which that error is measured
+PEAKS = "peaks"  # key of a run's summary for the largest values of all frames: see `with_peaks`
+CHECKS = 2  # runs on the scene's cells, and as many on other cells, that measure the error of the cells
 LEVELS = {"interval": 0.95, "half": 0.5}  # keys of intervals in `forecast.json`, and their probabilities
 
 
 @dataclass(frozen=True, kw_only=True)
 class Forecast:
-    """What the posterior of an answer predicts of a scene: S draws of U unknowns."""
+    """The prediction of a scene with the posterior of an inversion: S draws of U unknowns."""
 
     scene: Scene
-    names: tuple[str, ...]  # of the unknowns that the scene has too
+    names: tuple[str, ...]  # unknowns of the inversion that also exist in the scene
     draws: Floats  # their values in the units of their names, shape [S, U]
     numbers: Mapping[str, Floats]
-    """By the MPM: `front` and `mean_height` [m], `force NAME` on each solid [N, in 2D N/m]; shape [S] each."""
+    """MPM results: `front` and `mean_height` [m], `force NAME` on each solid [N, in 2D N/m]; shape [S] each."""
     start: float = 0.0  # f_0 of the front [m]
-    stations: Floats  # x of the profile [m], on the map where the box of the scene has an origin, shape [X]
-    profiles: Floats  # height of the deposit at its initial density [m], in 3D its mean over the width, shape [S, X]
+    stations: Floats  # x of the profile [m], in map coordinates if the box of the scene has an origin, shape [X]
+    profiles: Floats  # height of the deposit at its initial density [m], in 3D the mean over the width, shape [S, X]
     cells: Mapping[str, float] = field(default_factory=dict)
-    """d of each number, by its name; none where the box does not divide into other cells."""
+    """d of each number, by its name; empty if the box does not divide into other cells."""
     model_error: float = 0.0  # r [-]
-    maps: PlanMaps | None = None  # in 3D those of the last draw: where the maps below lie
+    maps: PlanMaps | None = None  # in 3D the maps of the last draw, whose grid the maps below share
     covered: Mapping[str, Floats] = field(default_factory=dict)
-    """In 3D the probability of more than the threshold of `thickness`, `depth` or `pressure`, shape [X, Z] each."""
+    """In 3D, the probability that `thickness`, `depth` or `pressure` exceeds its threshold, shape [X, Z] each."""
     remarks: tuple[str, ...] = ()
 
     @cached_property
@@ -99,9 +99,9 @@ class Forecast:
 
 
 def quantiles(values: Floats, level: float) -> list[Any]:
-    """Lower end, median and upper end of an interval of this probability, of rank p (S + 1) over the first axis.
+    """Lower end, median and upper end of an interval of probability `level`, of rank p (S + 1) along the first axis.
 
-    Floats, or arrays of the other axes.
+    The results are floats, or arrays over the other axes.
     """
     ends = np.quantile(values, [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0, method="weibull")
     return [float(end) if end.ndim == 0 else end for end in ends]
@@ -119,9 +119,9 @@ def predicted(
     pressure: float | None = None,
     remarks: Sequence[str] = (),
 ) -> Forecast:
-    """The forecast of `scene` by `draws` of the samples [S, U] of the unknowns `names`; see `forecast_scene`."""
+    """The forecast of `scene` from `draws` of the samples [S, U] of the unknowns `names`; see `forecast_scene`."""
     rng = np.random.default_rng([scene.seed, 2])
-    # One of each of as many equal parts of the posterior, in the order of its first number.
+    # Stratified: one sample from each of `draws` equal parts of the posterior, sorted by its first number.
     ordered = samples[np.argsort(samples[:, 0], kind="stable")]
     chosen = ordered[((np.arange(draws) + rng.random(draws)) * len(ordered) / draws).astype(int)]
     scenes = [at(scene, names, row, jitter_seed(scene.seed, number)) for number, row in enumerate(chosen)]
@@ -155,15 +155,15 @@ def predicted(
 
 
 def recording_of(scene: Scene) -> Recording:
-    """What of a flow `with_peaks` needs: a force is a mean from frame to frame, and a map has the largest of all."""
+    """The frames that `with_peaks` needs: forces are means between frames, and maps hold the largest of all frames."""
     return ALL if scene.dimension == 3 or solid_names(scene) else LAST
 
 
 def with_peaks(flow: Trajectory, threshold: float | None = None) -> Trajectory:
-    """The deposit of a flow; in its summary, the largest of all frames.
+    """The deposit of a flow, with the largest values of all frames in its summary.
 
     `force` on each solid [N, in 2D N/m]; in 3D `depth` [m] and `velocity` [m/s] of each cell, shape [X, Z]. threshold:
-    [m], as of `datasets.maps`.
+    [m], as in `datasets.maps`.
     """
     peaks = dict[str, Any]()
     if names := solid_names(flow.scene):
@@ -186,7 +186,7 @@ def at(scene: Scene, names: Sequence[str], values: Floats, seed: int) -> Scene:
 
 
 def numbers_of(flow: Trajectory) -> dict[str, float]:
-    """The numbers of a forecast that a flow has."""
+    """The numbers of a forecast, from one flow."""
     scene, last, volumes = flow.scene, flow.positions[-1], flow.volumes
     inside = within(flow)
     numbers = {
@@ -200,7 +200,7 @@ def numbers_of(flow: Trajectory) -> dict[str, float]:
 def height_of(scene: Scene, positions: Floats, volumes: Floats) -> float:
     """Mean height of a deposit [m]; positions [N, D] and volumes [N] of its particles.
 
-    In 3D (1/2) int h^2 dA / int h dA with the thickness h over the cells: what is thinner than one sinks to the ground.
+    In 3D (1/2) int h^2 dA / int h dA with the thickness h over the cells: features narrower than a cell spread over it.
     """
     if scene.dimension == 2:
         return mean_height(above(positions, ground_of(scene)), volumes)
@@ -211,14 +211,14 @@ def height_of(scene: Scene, positions: Floats, volumes: Floats) -> float:
 
 
 def within(flow: Trajectory) -> Any:
-    """Which particles are in the box at the end, shape [N]; all where none is."""
+    """Which particles are in the box at the end, shape [N]; all if none is."""
     last, size = flow.positions[-1], np.array(flow.scene.domain.size)
     inside = ((last >= 0.0) & (last <= size)).all(axis=1)
     return inside if inside.any() else ~inside
 
 
 def profile_of(flow: Trajectory, stations: Floats) -> Floats:
-    """Height of the deposit [m], in 3D its mean over the width, shape [X]."""
+    """Height of the deposit [m], in 3D the mean over the width, shape [X]."""
     width, inside = (1.0 if flow.scene.dimension == 2 else flow.scene.domain.size[2]), within(flow)
     return height_profile(flow.positions[-1][inside], flow.volumes[inside], stations) / width
 
@@ -226,7 +226,7 @@ def profile_of(flow: Trajectory, stations: Floats) -> Floats:
 def cells_error(
     scene: Scene, names: Sequence[str], median: Floats, store: RunStore, record: Recording
 ) -> dict[str, float]:
-    """d of each number, from runs at the medians; none where the box does not divide into other cells."""
+    """d of each number, from runs at the medians; empty if the box does not divide into other cells."""
     edge = scene.domain.cell
     for other in (factor * edge for factor in other_cells(scene)):
         seeds = {edge: CHECKS, other: 1 if other < edge and scene.dimension == 3 else CHECKS}

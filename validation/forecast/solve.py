@@ -1,4 +1,4 @@
-"""A forecast, from the files of a result to its own: `forecast.json`, `report.md`, a picture, in 3D maps."""
+"""A forecast, from the files of a result to its own: `forecast.json`, `report.md`, a picture, and in 3D maps."""
 
 from functools import partial
 from pathlib import Path
@@ -18,9 +18,9 @@ from validation.forecast.predict import LEVELS, Forecast, predicted, quantiles, 
 from validation.plots import BLUE, GREY, LIGHT_BLUE, ORANGE, figure
 from validation.run_store import RunStore, kept
 
-DRAWS = 40  # of the posterior: the least and the largest of so many flows are the ends of an interval of 95 %
+DRAWS = 40  # draws from the posterior: the smallest and the largest of so many flows bound a 95 % interval
 MOST_DRAWS = 10_000
-ON_MAP = 1.0e4  # fronts [m] from here on are eastings: four digits would not tell one from another
+ON_MAP = 1.0e4  # fronts [m] from here on are eastings, which four digits would not distinguish
 
 
 def forecast_scene(
@@ -34,17 +34,17 @@ def forecast_scene(
     pressure: float | None = None,
     simulate: Simulate = simulate_many,
 ) -> Forecast:
-    """What the posterior in `result` predicts of `scene`.
+    """Forecast `scene` with the posterior in `result`.
 
     >>> from validation import forecast_scene
     >>> found = forecast_scene("out/loop", "other-slope.toml", "out/forecast")
     >>> found.as_json()["numbers"]["front"]["interval"]
 
     result: the folder of `validation.loop` or `inverse`, or its `posterior.npz`; scene: one built in Python, a path or
-    a shipped name. out: folder for `forecast.json`, `report.md`, pictures, in 3D maps, and every flow, where an
-    interrupted command goes on; without it nothing is written. threshold: thickness [m] above which a cell counts as
-    covered, as `datasets.maps`; pressure: rho v^2 [Pa] above which it counts as hit. simulate: in place of the MPM.
-    Raises InputError, and WorkFailed where a run blows up or another process writes into `out`.
+    a shipped name. out: folder for `forecast.json`, `report.md`, pictures, in 3D maps, and every flow; an interrupted
+    call resumes there. Without it nothing is written. threshold: thickness [m] above which a cell counts as covered, as
+    in `datasets.maps`; pressure: rho v^2 [Pa] above which it counts as hit. simulate: replaces the MPM. Raises
+    InputError, and WorkFailed if a run blows up or another process writes into `out`.
     """
     require(1 < draws <= MOST_DRAWS, "--draws", f"an integer from 2 to {MOST_DRAWS}", draws)
     require(0.0 <= model_error < 1.0, "--model-error", "a share in [0, 1)", f"{model_error:g}")
@@ -60,7 +60,7 @@ def forecast_scene(
         remarks.append(f"{draws} flows enclose a further one in {100.0 * (draws - 1) / (draws + 1):.0f} % of the cases")
     options: dict[str, Any] = {"draws": draws, "model_error": model_error, "remarks": remarks}
     with kept(out) as folder:
-        # A run keeps its peaks alone, and which cells a flow covers depends on the threshold.
+        # A stored run keeps only its peaks, which depend on the threshold that defines covered cells.
         place = "mpm" if threshold is None else f"mpm-{threshold:g}"
         store = RunStore(folder / place, simulate, label="forecast-", reduce=partial(with_peaks, threshold=threshold))
         forecast = predicted(asked, names, samples, store, threshold=threshold, pressure=pressure, **options)
@@ -83,7 +83,7 @@ def save(forecast: Forecast, folder: Path, command: str) -> None:
 
 
 def worded(name: str, value: float) -> str:
-    """A number of a forecast; the front on a map to a decimetre."""
+    """A number of a forecast as text; a front in map coordinates to a decimetre."""
     return f"{value:.1f}" if name == "front" and abs(value) >= ON_MAP else f"{value:.4g}"
 
 
@@ -120,7 +120,7 @@ def report(forecast: Forecast, command: str) -> str:
 
 
 def draw(forecast: Forecast, path: Path) -> None:
-    """The fronts, and the band of the profile or the probability that a cell is covered."""
+    """Plot the fronts, and the band of the profile or the probability that a cell is covered."""
     low, middle, high = quantiles(forecast.profiles, LEVELS["interval"])
     with figure(path, columns=2, size=(5.5, 3.4)) as ((left, right),):
         values = forecast.predicted["front"]

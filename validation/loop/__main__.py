@@ -1,4 +1,4 @@
-"""`python -m validation.loop PROBLEM --out DIR`: an inversion that the MPM has confirmed, with its uncertainty."""
+"""`python -m validation.loop PROBLEM --out DIR`: an inversion with uncertainty, whose answers the MPM checks."""
 
 import sys
 from pathlib import Path
@@ -20,24 +20,24 @@ def main(
 ) -> None:
     """Find all parameters that PROBLEM allows, checked by the MPM.
 
-    Leaves OUT/result.json, OUT/posterior.npz, OUT/report.md, pictures, OUT/mpm. Running the same command again after a
-    kill uses the MPM runs that are there. Exit status 1 where the MPM confirms no answer.
+    Writes OUT/result.json, OUT/posterior.npz, OUT/report.md, pictures and OUT/mpm. An interrupted command, started
+    again, reuses the MPM runs that are finished. The exit status is 1 if the MPM confirms no answer.
 
     Args:
         problem: Path of a problem in TOML, or the name of a shipped one.
         out: Folder for the results.
-        targets: A folder of deposits, trajectories or CSV files of what PROBLEM observes: each is inverted in its
-            place, into OUT/NAME; all share the runs of the MPM; leaves OUT/series.csv, OUT/series.json and
-            OUT/report.md besides.
-        model: Weights of the surrogate or the folder of `inverse.adapt`, whose runs of the MPM are then known; unless
-            given, the weights that ship for 2D or for 3D. One that is given is asked unless the problem says "none".
-        surrogate: "gns": the learned surrogate is always used; "coarse": the MPM on cells twice as large; "none": the
-            MPM alone; "auto", the default of a problem: the learned one where a run of the MPM costs more than five of
-            its predictions. It leads the search: the MPM starts at its answers.
-        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM
-            instead: the runs of a wave side by side.
+        targets: A folder of deposits: trajectories, or CSV files of what PROBLEM observes. Each replaces PROBLEM's
+            target and is inverted into OUT/NAME; all of them share the MPM runs. Also writes OUT/series.csv,
+            OUT/series.json and OUT/report.md.
+        model: Weights of the surrogate, or the folder of `inverse.adapt`, whose MPM runs are then reused; by default,
+            the weights that ship for 2D or 3D. A model given here is used unless the problem says "none".
+        surrogate: "gns": always use the learned surrogate; "coarse": the MPM on cells twice as large; "none": the MPM
+            alone; "auto", the default of a problem: the learned surrogate if an MPM run costs more than five of its
+            predictions. A surrogate leads the search: the MPM starts at its answers.
+        scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file. Its workers then run the
+            MPM, the runs of a wave in parallel.
     """
-    # Imported here: torch takes seconds to load, and help has no use for it.
+    # Imported here: torch takes seconds to load, and --help does not need it.
     from contextlib import nullcontext
     from dataclasses import replace
 

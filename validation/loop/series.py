@@ -1,8 +1,8 @@
-"""A series: many deposits of one kind, each inverted by the same surrogate, with the runs of the MPM in common.
+"""A series: many deposits of one problem, each inverted with the same surrogate and with shared MPM runs.
 
-A run of the MPM says something of every deposit of its kind. So those that an adaptation made (`inverse.adapt`), and
-those of the deposits before, are known to the emulator of each further one, which then needs little more than its
-checks. Each deposit's own runs have jitter seeds of their own.
+An MPM run informs the inversion of every deposit of the same problem. The emulator of each deposit therefore uses the
+runs of the adaptation (`inverse.adapt`) and of all earlier deposits, and needs few new runs besides its checks. Each
+deposit has its own jitter seeds.
 """
 
 import hashlib
@@ -32,7 +32,7 @@ from mpm import simulate, simulate_many
 from validation.loop.solve import Known, solve
 
 RESULT, SERIES = "result.json", "series.json"
-ENDS = (" from", " to")  # what follows the name of an unknown, of the columns of its interval
+ENDS = (" from", " to")  # suffixes of an unknown's name in the columns of its interval
 
 
 def solve_series(
@@ -48,10 +48,10 @@ def solve_series(
     >>> from validation import solve_series
     >>> rows = solve_series("friction-tall-42", "deposits", "out/series", model="out/tall")
 
-    targets: trajectories as `mpm.run` leaves them, or CSV files of the problem's one observation; model: that of
-    `inverse.adapt`, by which its runs of the MPM are known, or another one. Leaves `out`/NAME for each deposit as
-    `validation.solve`, `series.csv`, `series.json` and `report.md`; what is there of the same problem and deposit
-    is not done again. Raises InputError, which names the file, before any work.
+    targets: trajectories as `mpm.run` writes them, or CSV files of the problem's one observation. model: the folder of
+    `inverse.adapt`, whose MPM runs are then reused, or other weights. Writes `out`/NAME for each deposit, as
+    `validation.solve` does, and `series.csv`, `series.json` and `report.md`. Results that exist for the same problem
+    and deposit are kept. Raises InputError, which names the file, before any work.
     """
     asked, out = problem if isinstance(problem, Problem) else read_problem(problem), Path(out)
     deposits = read_deposits(asked, Path(targets))
@@ -66,7 +66,7 @@ def solve_series(
             solve(deposit, folder, model=model, simulate=simulate, known=runs)
         result = json.loads((folder / RESULT).read_text())
         rows.append(row(name, result))
-        # On the cells of the problem.
+        # Only runs on the problem's own cell size.
         runs += [
             (np.array([run["unknowns"][key] for key in asked.names]), Trajectory.load(folder / run["file"]))
             for run in result["mpm_runs"]
@@ -77,13 +77,13 @@ def solve_series(
 
 
 def digest(problem: Problem, deposit: Problem) -> str:
-    """Of a problem and the file of a deposit: another one where either has changed."""
+    """A digest of a problem and of a deposit's file: it differs if either has changed."""
     path = deposit.target.trajectory or vars(deposit.observations[0])["csv"]
     return hashlib.sha256(repr(problem).encode() + Path(path).read_bytes()).hexdigest()
 
 
 def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
-    """The problem of each deposit in a folder, by the name of its file. Raises InputError, which names a bad file."""
+    """File name -> problem, for each deposit in a folder. Raises InputError, which names a bad file."""
     every = sorted(folder.glob("[!.]*"))
     files = [path for path in every if path.suffix.lower() in (*SUFFIXES, ".csv")]
     if others := [path.name for path in every if path not in files]:
@@ -97,13 +97,13 @@ def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
     for path in files:
         with naming(path):
             problems[path.stem] = deposit = of_deposit(problem, path)
-            # Nothing is simulated: a deposit is a file.
+            # This only checks the file: a deposit needs no simulation.
             read_target(deposit, simulate)
     return problems
 
 
 def of_deposit(problem: Problem, path: Path) -> Problem:
-    """The problem with the deposit in a file as its target, and jitter seeds of its own."""
+    """The problem with the deposit in a file as its target, and with its own jitter seeds."""
     target, observations = TargetSettings(trajectory=str(path.absolute())), problem.observations
     unmeasured = [replace(entry, **dict[str, Any](dict.fromkeys(entry.sources))) for entry in observations]
     if path.suffix.lower() == ".csv":
@@ -118,7 +118,7 @@ def of_deposit(problem: Problem, path: Path) -> Problem:
 
 
 def row(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
-    """The row of a deposit: its first answer with its intervals, the verdict and what it cost."""
+    """The row of a deposit: its first answer with intervals, the verdict and the cost."""
     unknowns = dict[str, float]()
     for key, value in result["unknowns"].items():
         unknowns[key] = value
@@ -130,7 +130,7 @@ def row(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
 def write(
     out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count: int, digests: Mapping[str, str]
 ) -> None:
-    """Write the table of the deposits so far, of `count`, and what they are of."""
+    """Write the table of the deposits inverted so far, out of `count`, and their digests."""
     write_csv(out / "series.csv", [*rows[0]], ([*line.values()] for line in rows))
     write_json(out / SERIES, {"problem": problem.name, "deposits": rows, "digests": digests})
     kinds = {number.name + end: number.kind for number in problem.numbers for end in ("", *ENDS)}
@@ -142,10 +142,10 @@ def write(
 
 
 def summary(rows: Sequence[Mapping[str, Any]], count: int) -> str:
-    """What a series came to, in a sentence."""
+    """The outcome of a series, in a sentence."""
     confirmed = sum(Verdict(line["verdict"]).confirms for line in rows)
     runs, seconds = (np.mean([line[key] for line in rows]) for key in ("MPM runs", "seconds"))
     return (
         f"{len(rows)} of {count} deposits inverted, {confirmed} of them confirmed by the MPM; "
-        f"{runs:.1f} MPM runs and {seconds:.0f} s a deposit."
+        f"{runs:.1f} MPM runs and {seconds:.0f} s per deposit."
     )

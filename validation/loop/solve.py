@@ -35,10 +35,10 @@ from validation.loop.task import Loop, Task
 from validation.loop.verdict import Conclusion, concluded, judged, nearer
 from validation.run_store import RunStore, kept
 
-Known = tuple[Vector, Trajectory]  # parameters [U], and the flow of the MPM there
+Known = tuple[Vector, Trajectory]  # parameters [U], and the MPM's flow with them
 RUNS, TWIN = "mpm", "target-"
-"""Folder of the MPM runs beside the result; what the file of a twin's own run begins with."""
-SUGGESTED = 6  # measurements that are suggested
+"""Folder of the MPM runs beside the result; prefix of the file of a twin's own run."""
+SUGGESTED = 6  # further measurements that `result.json` suggests
 
 
 def solve(
@@ -49,7 +49,7 @@ def solve(
     simulate: Simulate = simulate_many,
     known: Sequence[Known] = (),
 ) -> Result:
-    """Find all parameters that `problem` allows, each answer confirmed or refused by the MPM.
+    """Find all parameters that `problem` allows; the MPM confirms or refuses each answer.
 
     >>> from inverse import plot
     >>> from validation import solve
@@ -57,17 +57,17 @@ def solve(
     >>> print(result.verdict, result.unknowns, result.interval)
     >>> plot(result).savefig("found.png")
 
-    problem: one built in Python, the path of a TOML file or the name of a shipped one. out: folder for `result.json`,
-    `posterior.npz`, `report.md`, pictures and every MPM run, where an interrupted command goes on; without it nothing
-    is written (`inverse.save` does so later). model: weights of the surrogate, those that ship where absent; of a
-    folder of `inverse.adapt` the runs are known too. simulate: in place of the MPM. known: runs of the MPM for other
-    targets, which inform the emulator and are no part of the budget. Raises InputError for a problem that cannot be
-    solved as it stands, WorkFailed where a run of the MPM blows up or another process writes into `out`.
+    problem: one built in Python, the path of a TOML file or a shipped name. out: folder for `result.json`,
+    `posterior.npz`, `report.md`, pictures and every MPM run; an interrupted call resumes there. Without it nothing is
+    written (`inverse.save` can write the result later). model: weights of the surrogate, by default the shipped ones;
+    with a folder of `inverse.adapt`, its MPM runs are reused too. simulate: replaces the MPM. known: MPM runs for other
+    targets, which inform the emulator and do not count towards the budget. Raises InputError for a problem that cannot
+    be solved as it stands, and WorkFailed if an MPM run blows up or another process writes into `out`.
     """
     asked = problem if isinstance(problem, Problem) else read_problem(problem)
     with kept(out) as folder:
         if asked.fields:
-            # By the MPM itself, with its word: it has an adjoint, and fields are too many for an emulator.
+            # Fields have too many values for an emulator; the MPM inverts them itself, by its adjoint.
             from inverse.inversion import invert
 
             result = invert(asked, model=model)
@@ -83,14 +83,14 @@ def solve(
 
 
 def print_outcome(result: Result, out: Path) -> None:
-    """Print the outcome. Raises WorkFailed where the MPM did not confirm."""
+    """Print the outcome. Raises WorkFailed if the MPM did not confirm it."""
     print(summary(result))
     if not result.verdict.confirms:
         raise WorkFailed(f"the answer is {result.verdict}; the nearest that was found is in {out}/report.md")
 
 
 def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -> Result:
-    """Search, check the answers, judge; known: runs for other targets."""
+    """Search, check the answers and judge them; known: runs for other targets."""
     began, used = time.perf_counter(), time.process_time()
     before = tuple(task.run(*pair) for pair in known)
     led, outcome, cells = None, None, tuple[MpmRun, ...]()
@@ -100,14 +100,14 @@ def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -
         rough = 1.0 if isinstance(forward, MpmForward) else ROUGH
         led = inverted(forward, task.problem, task.target, task.scatter, rough=rough)
         state, confirmed = surrogate.guided(task.search(before), led)
-        # Runs are dear here, and its answers were checked.
+        # Runs are expensive here, and the surrogate's answers have been checked.
         outcome = concluded(task, state, moves=0) if confirmed else judged(state)
     elif model is not None:
         print(f"the surrogate is not used: {reason}", file=sys.stderr)
     if outcome is None:
         outcome = concluded(task, searched(begun(task.search(before))))
     elif not outcome.verdict.confirms:
-        # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
+        # If the MPM does not confirm where the surrogate leads, the surrogate must not exclude any parameters.
         tried = tuple(replace(mpm_run, purpose=Purpose.WAVE) for mpm_run in outcome.search.runs)
         cells = outcome.cells
         outcome = nearer(outcome.search, concluded(task, searched(begun(task.search(before, tried)))))
@@ -141,7 +141,7 @@ def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -
 
 
 def waves(state: Loop) -> list[dict[str, Any]]:
-    """What was known after each wave, as `result.json` has it."""
+    """The posterior after each wave, in the form of `result.json`."""
     problem, box = state.knowledge.problem, state.knowledge.box
     return [
         {
@@ -156,9 +156,9 @@ def waves(state: Loop) -> list[dict[str, Any]]:
 
 
 def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
-    """What the surrogate found, heaviest answer first, and what the MPM said of it, as `result.json` has it.
+    """The surrogate's answers, heaviest first, and their MPM misfit, in the form of `result.json`.
 
-    That is by the runs there; where none were necessary, by the emulator of those around.
+    The misfit is that of the MPM runs at the answer; if none were necessary, the emulator's, from the runs around it.
     """
     named, box, answers = task.problem.named, task.problem.box, []
     for part, parameters in zip(led.answers, task.at(np.stack([part.point for part in led.answers])), strict=True):
@@ -176,7 +176,7 @@ def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
 
 
 def statement(state: Loop) -> str:
-    """What the posterior is made of, in sentences."""
+    """How the posterior was obtained, in sentences."""
     belief, led = state.knowledge.posterior, state.knowledge.guide is not None
     enough = CONSTANTS.converged_around if state.known or led else CONSTANTS.converged
     more = " **More runs of the MPM (`mpm_runs`) would narrow these.**" if belief.emulator_share > enough else ""
@@ -190,7 +190,7 @@ def statement(state: Loop) -> str:
 
 
 def further(outcome: Conclusion) -> dict[str, float]:
-    """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
+    """If the answer is ambiguous: the measurements of a deposit that carry the most information on it."""
     if outcome.verdict is not Verdict.AMBIGUOUS:
         return {}
     state, knowledge = outcome.search, outcome.search.knowledge
@@ -198,7 +198,7 @@ def further(outcome: Conclusion) -> dict[str, float]:
     flows = [run.trajectory for run, is_near in zip(state.every, near, strict=True) if is_near]
     extent = max(measures.front(flow.positions[-1], flow.volumes) for flow in flows)
     shown = [measurements(scene, flow.positions[-1], extent) for flow in flows]
-    # That of the target is known.
+    # If the target's front is known, measuring it again decides nothing.
     observed = {"the front"} if math.isfinite(knowledge.target.front) else set()
     by_name = {name: np.array([measured[name] for measured in shown]) for name in shown[0] if name not in observed}
     points, samples, cell = state.points[near], knowledge.posterior.samples, scene.domain.cell

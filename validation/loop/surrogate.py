@@ -1,8 +1,8 @@
-"""Whether a surrogate is asked: where the scene is in its range, its band narrow and a run of the MPM dear.
+"""Decides whether a surrogate is used: the scene is in its range, its error band narrow and an MPM run expensive.
 
-It inverts first (`inverse.search.descent`) and leads: the MPM runs at its answers first, then around them, and
-corrects them. No run is made beyond the surrogate's region unless the MPM contradicts: where it is off by more than the
-band allows, the region is so much wider, and twice as wide wherever the posterior comes to its edge.
+The surrogate inverts first (`inverse.search.descent`) and leads: the MPM runs at its answers, then around them, and
+corrects them. No run is made outside the surrogate's region unless the MPM contradicts it: if the surrogate errs by
+more than its band allows, the region widens in proportion, and it doubles whenever the posterior reaches its edge.
 """
 
 import sys
@@ -33,18 +33,18 @@ from validation.loop.task import Loop, Task
 from validation.loop.verdict import checked
 from validation.run_store import RunStore
 
-JITTER = 0  # jitter seed of the flows that it predicts
-WIDEST = 0.2  # share of a flow's extent, up to which its 95 % band may be: a wider one excludes little of a box
+JITTER = 0  # jitter seed of the flows that the surrogate predicts
+WIDEST = 0.2  # largest 95 % band as a share of the flow's extent: a wider band excludes little of the prior box
 OUTERMOST = 0.2
-"""Share of the fall of the likelihood from its top to the edge of a region, within which a sample lies at the edge."""
-QUICKEST = 0.1  # seconds of a prediction at least: where even that costs too much, no weights are read
+"""Last share of the likelihood's fall, from its top to the edge of a region, in which a sample is at the edge."""
+QUICKEST = 0.1  # shortest prediction [s]: if even that costs too much, no weights are read
 
 
 def choose(task: Task, model: Path | None = None) -> tuple[Forward | None, str]:
-    """The surrogate that leads the search, or None, and the reason in words.
+    """The surrogate that leads the search, or None; and the reason in words.
 
-    model: weights, which are used however long they take; the shipped ones where absent. The MPM on larger cells leads
-    only where the problem says `coarse`. Raises InputError where the problem demands a surrogate that does not exist.
+    model: weights, which are used at any cost; by default the shipped ones. The MPM on larger cells leads only if the
+    problem says `coarse`. Raises InputError if the problem demands a surrogate that does not exist.
     """
     problem, requested = task.problem, task.problem.surrogate
     if requested is Surrogate.NONE:
@@ -52,7 +52,7 @@ def choose(task: Task, model: Path | None = None) -> tuple[Forward | None, str]:
     if requested is Surrogate.COARSE:
         problem = replace(problem, scene=task.on_cells(problem.scene, 2.0))
         store = RunStore(task.folder, task.simulate, label="coarse-")
-        # Off by about a cell of the scene, four times the scatter of its flows.
+        # The coarse MPM errs by about one cell of the scene, four times the scatter of its flows.
         coarse = MpmForward(problem, task.target.observation, store, band=4.0 * task.scatter)
         return coarse, "it is the MPM on cells twice as large"
     run, by_price = seconds_of_run(problem.scene), requested is Surrogate.AUTO and model is None
@@ -70,12 +70,12 @@ def choose(task: Task, model: Path | None = None) -> tuple[Forward | None, str]:
 
 
 def quick(run: float) -> bool:
-    """Whether a run of the MPM takes so few seconds that no prediction is cheap beside it."""
+    """Whether an MPM run is so short that predictions save no time."""
     return run < PREDICTIONS * QUICKEST
 
 
 def estimate(problem: Problem, model: Path | None, out: Path) -> str:
-    """What the runs take at least that a loop makes first, and those that check its answer."""
+    """The least time, in words, of the loop's first runs and of the runs that check its answer."""
     unknowns = len(problem.parameters)
     alone = problem.surrogate is Surrogate.NONE or (model is None and quick(seconds_of_run(problem.scene)))
     fill = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns + CONSTANTS.repeats
@@ -88,14 +88,14 @@ def estimate(problem: Problem, model: Path | None, out: Path) -> str:
 
 
 def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forward | None, str]:
-    """The learned surrogate, or None and why it does not know the flow, or not well enough. Raises InputError."""
+    """The learned surrogate; or None, and why it does not predict the flow well enough. Raises InputError."""
     observation = target.observation
     if without := [parameter.name for parameter in problem.parameters if not parameter.kind.predicted]:
         return None, f"{', '.join(without)} is no input of it"
     if not observation.of_positions:
         return None, f"it does not predict {observation.label}"
     weights = model_path(model or shipped(problem.scene))
-    # Of another jitter its flow is none that the MPM runs, and the same for every target.
+    # A jitter seed that no MPM run has, and one seed for every target.
     problem = replace(problem, scene=replace(problem.scene, seed=JITTER))
     stamp = weights.stat().st_mtime_ns if weights.exists() else 0
     simulator, flows = loaded(weights, stamp, problem.scene, tuple(problem.names))
@@ -112,15 +112,15 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forwa
 
 @lru_cache(maxsize=1)
 def loaded(weights: Path, stamp: int, scene: Scene, names: tuple[str, ...]) -> tuple[Simulator, dict[bytes, Flow]]:
-    """The model in a file as it was at `stamp`, and its predictions of a scene with numbers of these names."""
+    """The model in a file as it was at `stamp`, and its predictions of a scene for unknowns of these names."""
     return checkpoint.load(weights).simulator, {}
 
 
 def guided(search: Loop, led: Inversion) -> tuple[Loop, bool]:
-    """Runs at the answers of a surrogate (`led`), around them, and on until its answers so corrected hold.
+    """Run the MPM at and around the answers of a surrogate (`led`), until the answers so corrected no longer change.
 
-    With it, whether the MPM confirms one of them: if not, more runs near the others would be of no use.
-    Where the known runs are enough for an emulator, its answers are corrected by them at once.
+    Also returns whether the MPM confirms one of them: if not, more runs near the others would be of no use. If the
+    known runs are enough for an emulator, they correct the surrogate's answers at once.
     """
     unknowns, state = len(search.knowledge.problem.parameters), search
     size = wave_size(unknowns)
@@ -132,31 +132,31 @@ def guided(search: Loop, led: Inversion) -> tuple[Loop, bool]:
     state = state.informed(guide=led)
     while True:
         while at_edge(state):
-            # Twice as wide, until they do not.
+            # Double the region until no samples lie at its edge.
             led = led.refined(factor=2.0 * led.knowledge.factor)
             state = state.informed(guide=led)
         left, known_enough = state.left - CONSTANTS.checks, converged(state)
-        # The answers of several parameters move until their emulator knows enough: checks of them come last.
+        # With several parameters the answers move until the emulator has converged, so checks come last.
         if unknowns == 1 or known_enough or left <= 0:
             state, corrected = checked(state, again=False, moves=1)
             if at_edge(state):
                 continue
             left, confirmed = state.left - CONSTANTS.checks, corrected[0].confirmed
-            # What was enough before the checks is so after them, though the scatter that they show may be smaller.
+            # If it converged before the checks it counts as converged after them, even if they show less scatter.
             if not confirmed or known_enough or converged(state) or left <= 0:
                 return state, confirmed
         state = state.ran(further(state, min(size, left))).informed()
 
 
 def converged(state: Loop) -> bool:
-    """Whether further runs around the answers of a surrogate would shorten half-widths little."""
+    """Whether further runs around the surrogate's answers would hardly narrow the intervals."""
     return state.knowledge.posterior.emulator_share <= CONSTANTS.converged_around
 
 
 def at_edge(state: Loop) -> bool:
-    """Whether samples lie at the edge of the surrogate's region: the MPM leads beyond it.
+    """Whether samples lie at the edge of the surrogate's region, because the MPM leads beyond it.
 
-    As long as the emulator knows little they lie there too, which leads nowhere.
+    Before the emulator has converged samples lie there too, which means nothing yet.
     """
     guide, posterior = state.knowledge.guide, state.knowledge.posterior
     if guide is None or posterior.likelihood.within is None or not converged(state):

@@ -28,12 +28,12 @@ Loop = WaveSearch[MpmRun, Inference]
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What a loop is given: nothing in it changes on the way."""
+    """The input of a loop, which never changes it."""
 
     problem: Problem
     target: Target
     folder: Path
-    """Where runs of the MPM are stored."""
+    """Folder of the stored MPM runs."""
     simulate: Simulate = simulate_many
 
     @cached_property
@@ -42,7 +42,7 @@ class Task:
         return self.target.observation.prior_scatter(self.target.values)
 
     def at(self, points: Matrix) -> list[Vector]:
-        """Parameters at points [S, U] of the unit box, to a millionth of the range: a run is found again by them."""
+        """Parameters at points [S, U] of the unit box, rounded to a millionth of the range: they identify a run."""
         box = self.problem.box
         digits = 6 - np.ceil(np.log10(box.range)).astype(int)
         rounded = [
@@ -52,7 +52,7 @@ class Task:
         return [*np.clip(np.reshape(rounded, points.shape), box.lower, box.upper)]
 
     def __call__(self, points: Matrix, first: int, *, purpose: Purpose = Purpose.WAVE) -> tuple[MpmRun, ...]:
-        """Runs at points [S, U] of the unit box, each with a jitter seed of its own; first: number of the first."""
+        """Runs at points [S, U] of the unit box, each with its own jitter seed; first: number of the first run."""
         locations, seed = self.at(points), self.problem.scene.seed
         seeds = [jitter_seed(seed, first + index) for index in range(len(locations))]
         scenes = [self.problem.scene_at(*pair) for pair in zip(locations, seeds, strict=True)]
@@ -72,13 +72,13 @@ class Task:
         return MpmRun.of(flow, location, self.problem, self.target, purpose=purpose, seconds=seconds, file=file)
 
     def on_cells(self, scene: Scene, factor: float) -> Scene:
-        """`scene` on cells so many times as large. Raises InputError where particles are compared or none fit."""
+        """`scene` on cells `factor` times as large. Raises InputError if particles are compared or no cells fit."""
         if self.target.observation.every_particle:
             raise InputError("expected no deposit, whose particles are others on other cells", key="observations")
         return scene.with_cell(factor * scene.domain.cell)
 
     def search(self, known: tuple[MpmRun, ...] = (), runs: tuple[MpmRun, ...] = ()) -> Loop:
-        """The search by runs of the MPM; known: from other targets, `runs`: those that there are already."""
+        """The search by runs of the MPM; known: runs for other targets; runs: those already made for this one."""
         inference = Inference(problem=self.problem, target=self.target, scatter=self.scatter)
         seed, budget = self.problem.optimiser.seed, self.problem.loop.budget(len(self.problem.parameters))
         return WaveSearch(model=self, knowledge=inference, seed=seed, budget=budget, known=known, runs=runs)

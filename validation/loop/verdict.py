@@ -1,4 +1,4 @@
-"""From the posterior to its answers, each checked by runs of the MPM there, and the verdict on them."""
+"""Derives answers from the posterior, checks each by MPM runs at the answer, and gives the verdict on them."""
 
 import math
 from collections.abc import Sequence
@@ -22,37 +22,37 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.search.inference import narrowed, parts_of
 from validation.loop.task import Loop, Task
 
-CLOSE = 0.35  # of a half-width: checks this close to an answer are checks of it
+CLOSE = 0.35  # largest distance between an answer and its checks, in half-widths
 AT_BOUND = 0.02  # distance from a bound, as a fraction of the range, at which parameters lie at it
 EXCLUDED = 1e-3
-"""Probability of the nearest fit of all, at a bound, below which no parameters between the bounds give the target."""
-SETTLED = 0.05  # change of the factor of a discrepancy, over it, that widens or narrows no interval
-NEGLIGIBLE = 0.1  # share of the variance of residuals, below which a source of it explains none of a misfit
-HALF, TWICE = 0.5, 2.0  # sizes of other cells over the scene's, by which the error of these is measured
-THIN = 2.0  # cells across a mass in 3D, below which cells twice as large do not show the error
+"""If the best fit lies at a bound and is less probable than this, no parameters within the bounds give the target."""
+SETTLED = 0.05  # relative change of the discrepancy factor that is too small to change the intervals
+NEGLIGIBLE = 0.1  # share of the residuals' variance below which its source does not explain a misfit
+HALF, TWICE = 0.5, 2.0  # size of the cells that measure the discretisation error, over the scene's
+THIN = 2.0  # cells across a mass in 3D below which cells twice as large do not show this error
 
 
 @dataclass(frozen=True, kw_only=True)
 class Conclusion:
-    """What a search came to."""
+    """The outcome of a search."""
 
     search: Loop
     answers: tuple[Answer, ...]
-    """Those that the MPM confirms first, then by weight."""
+    """Confirmed answers first, then by weight."""
     verdict: Verdict
     cells: tuple[MpmRun, ...] = ()
-    """Runs at an answer on other cells, which are no part of the emulator."""
+    """Runs at an answer on cells of another size, which the emulator does not use."""
 
 
 def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Conclusion:
-    """The answers, checked, with the discrepancy of the first one in their half-widths, and the verdict.
+    """The checked answers, whose half-widths include the discrepancy of the first answer, and the verdict.
 
     moves: see `checked`.
     """
     unreachable = is_unreachable(state.knowledge.posterior)
     state, answers = checked(state, moves=moves)
     if cells := on_other_cells(task, answers[0]):
-        # The error grows as the cell (Roache 1994): nature has none, a twin on other cells that of its own.
+        # The error is proportional to the cell (Roache 1994); a measurement has none, a twin that of its own cells.
         cell, other = (runs[0].trajectory.scene.domain.cell for runs in (answers[0].checks, cells))
         share = (cell - (task.target.cell or 0.0)) / (cell - other)
         change = share * (answers[0].observation - np.mean([run.numbers for run in cells], axis=0))
@@ -62,21 +62,21 @@ def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Concl
         shown, before = discrepancy(state, answers[0]), state.knowledge.factor
         if abs(shown.factor - before) <= SETTLED * before:
             break
-        # The residuals are least in another place where all parameters are open again that they had excluded.
+        # Once excluded parameters are possible again, the residuals may be smallest elsewhere.
         wider = reopened(state, factor=shown.factor, spared=shown.alone is not None)
         state, answers = checked(wider, again=False, moves=min(1, moves))
-    # What the MPM refuses is no other answer beside one that it confirms.
+    # If the MPM confirms an answer, those that it refuses are dropped.
     answers = tuple(answer for answer in answers if answer.confirmed) or answers
     verdict = judge(task.problem, answers, unreachable=unreachable)
     return Conclusion(search=state, answers=answers, verdict=verdict, cells=cells)
 
 
 def discrepancy(state: Loop, answer: Answer) -> Fit:
-    """The fit of `answer` where its part of the posterior is likeliest: by Birge's ratio its errors are larger.
+    """The fit at the likeliest point of `answer`'s part of the posterior: its Birge ratio enlarges the errors.
 
-    Residuals are least there; a skewed posterior has its median elsewhere.
+    The residuals are smallest there; the median of a skewed posterior lies elsewhere.
     """
-    # Answers are in another order than parts: those first that the MPM confirms.
+    # Answers are ordered differently from parts: confirmed ones come first.
     location = state.knowledge.box.shares(answer.parameters)
     part = min(parts_of(state), key=lambda candidate: float(np.linalg.norm(candidate.point - location)))
     best = part.points[[int(np.argmax(state.knowledge.posterior.likelihood(part.points)))]]
@@ -84,10 +84,10 @@ def discrepancy(state: Loop, answer: Answer) -> Fit:
 
 
 def reopened(state: Loop, **changes: Any) -> Loop:
-    """With larger errors: where the posterior leaves the region of its runs, all that smaller errors excluded is open.
+    """The search with larger errors: if the posterior leaves the region of its runs, excluded parameters reopen.
 
-    An emulator of the runs in the old region would extrapolate. That of all runs takes its place, then those of smaller
-    regions as long as they know more; of more than `few_parameters` that of all runs in the wider region.
+    An emulator of the runs in the old region would extrapolate. An emulator of all runs replaces it (with more than
+    `few_parameters`, of all runs in the wider region), then emulators of smaller regions as long as they know more.
     """
     before = state.knowledge.posterior.region
     state = state.informed(**changes)
@@ -105,15 +105,15 @@ def reopened(state: Loop, **changes: Any) -> Loop:
 
 
 def judged(state: Loop) -> Conclusion:
-    """The answers by the runs that there are."""
+    """The answers from the existing runs, without further ones."""
     answers = answers_of(state, parts_of(state))
     return Conclusion(search=state, answers=answers, verdict=judge(state.knowledge.problem, answers))
 
 
 def nearer(led: Loop, whole: Conclusion) -> Conclusion:
-    """Of a search that a surrogate led, which the MPM did not confirm, and one of the whole box after it: the nearer.
+    """The conclusion nearer to the target: of an unconfirmed search led by a surrogate, or of the whole box after it.
 
-    By all runs of both. What is excluded over the whole box remains excluded.
+    Both use the runs of both searches. Parameters excluded over the whole box remain excluded.
     """
     guided = judged(replace(led, runs=(*led.runs, *whole.search.runs[len(led.runs) :])).informed())
     fits = (conclusion.answers[0].fit for conclusion in (guided, whole))
@@ -122,10 +122,10 @@ def nearer(led: Loop, whole: Conclusion) -> Conclusion:
 
 
 def checked(state: Loop, *, again: bool = True, moves: int = CONSTANTS.moves) -> tuple[Loop, tuple[Answer, ...]]:
-    """Runs at every answer, and again where an answer moves by what these show, at most `moves` times.
+    """Run checks at every answer, and again if the checks move an answer, at most `moves` times.
 
-    The answer is the median of the posterior all the same, the checks those nearest to it. again: once more, too, where
-    the MPM does not confirm the first of them.
+    The answer remains the median of the posterior; its checks are the nearest ones. again: also check once more if the
+    MPM does not confirm the first answer.
     """
     for turn in range(CONSTANTS.rounds):
         parts, close = parts_of(state), CLOSE if turn < moves else math.inf
@@ -134,7 +134,7 @@ def checked(state: Loop, *, again: bool = True, moves: int = CONSTANTS.moves) ->
             answers = answers_of(state, parts)
             if answers[0].confirmed or not again or is_certain(answers[0]):
                 break
-            # Where the mean of few runs is not near enough, that of more may be.
+            # The mean of few runs may miss the target where the mean of more does not.
             locations = [state.knowledge.box.shares(answers[0].parameters)]
         if state.left < len(locations):
             break
@@ -145,7 +145,7 @@ def checked(state: Loop, *, again: bool = True, moves: int = CONSTANTS.moves) ->
 
 
 def is_certain(answer: Answer) -> bool:
-    """Whether more runs at an answer would leave its misfit as it is: the scatter of their mean is no part of it."""
+    """Whether more runs at an answer would not change its misfit: the scatter of their mean is negligible."""
     fit = answer.fit
     if fit is None:
         return False
@@ -160,7 +160,7 @@ def distances(runs: Sequence[MpmRun], part: Part) -> Values:
 
 
 def checks_of(state: Loop, part: Part) -> list[MpmRun]:
-    """The checks of a part: those at the place, among all in it that were checked, that is nearest to its point."""
+    """The checks of a part: of all checked places within it, those at the place nearest to its point."""
     made = [run for run in state.runs if run.purpose is Purpose.CHECK]
     if not made:
         return []
@@ -174,7 +174,7 @@ def checks_of(state: Loop, part: Part) -> list[MpmRun]:
 
 
 def is_checked(state: Loop, part: Part, close: float) -> bool:
-    """Whether its checks are so close to its point, in half-widths, or it is most of the box."""
+    """Whether a part has checks within `close` half-widths of its point, or fills so much of the box that any do."""
     checks = checks_of(state, part)
     if not checks:
         return False
@@ -182,7 +182,7 @@ def is_checked(state: Loop, part: Part, close: float) -> bool:
 
 
 def answers_of(state: Loop, parts: Sequence[Part]) -> tuple[Answer, ...]:
-    """The answer in each part, with the checks or else the runs nearest to it; those first that the MPM confirms."""
+    """The answer in each part, with its checks or else the nearest run; confirmed answers first."""
     box, answers = state.knowledge.box, []
     for part in parts:
         checks = checks_of(state, part) or [state.every[int(np.argmin(distances(state.every, part)))]]
@@ -194,11 +194,11 @@ def answers_of(state: Loop, parts: Sequence[Part]) -> tuple[Answer, ...]:
 
 
 def fitted(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Fit:
-    """The checks of an answer, carried over to `point` [U] of the unit box, beside the target.
+    """Compare the checks of an answer, carried over to `point` [U] of the unit box, with the target.
 
-    The scatter is that of runs repeated near it, else anywhere.
+    The scatter is that of runs repeated near the point, else anywhere.
 
-    The checks may lie a part of a half-width beside it: the difference is the emulator's.
+    The checks may lie a fraction of a half-width away from it: the emulator gives the difference.
     """
     knowledge, near, numbers = state.knowledge, state.knowledge.posterior.near, state.numbers
     scatter = Scatter.of_runs(state.points[near], numbers[near], knowledge.scatter)
@@ -223,45 +223,44 @@ def fitted(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Fit:
 
 
 def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
-    """Runs at an answer on cells of another size (`other_cells`); none for a target that is a flow on the same.
+    """Runs at an answer on cells of another size (`other_cells`); none for a twin on the scene's own cells.
 
-    What they change is, to first order, the error of the cells used (Roache, Perspective: a method for uniform
-    reporting of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413). None where the numbers are those of single
-    particles, and where the box does not divide into such cells.
+    The change that they show is, to first order, the error of the cells used (Roache, Perspective: a method for uniform
+    reporting of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413). There are none if the observation is of
+    single particles, or if the box does not divide into such cells.
     """
-    # Where the checks are: the difference is of the cells alone.
+    # At the place of the checks, so that the runs differ only in cell size.
     location = answer.checks[0].parameters
     scene = task.problem.scene_at(location)
     if task.target.cell == scene.domain.cell:
         return ()
     for factor in other_cells(scene):
-        # One run on half the cells costs as much as sixteen in 3D, and scatters less than these.
+        # In 3D one run on half the cell size costs as much as sixteen, and scatters less.
         checks = answer.checks[:1] if factor < 1.0 and scene.dimension == 3 else answer.checks
         try:
             other = task.on_cells(scene, factor)
             scenes = [replace(other, seed=check.trajectory.scene.seed) for check in checks]
             return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
         except InputError:
-            # The box does not divide into such cells, or the memory does not suffice for them.
-            continue
+            continue  # the box does not divide into such cells, or a run on them needs too much memory
     return ()
 
 
 def other_cells(scene: Scene) -> tuple[float, ...]:
-    """Cells that show the error of those of `scene`, over these, the best ones first.
+    """Sizes of the cells that show the error of the cells of `scene`, over the size of these, the best one first.
 
-    Half the cells, in 3D cells twice as large: half the cells cost sixteen times as much there. Where a mass is thinner
-    than `THIN` cells, cells twice as large do not show the error: of a slide a quarter of a cell thick, what they
-    change has another sign than what half the cells change.
+    Half the size in 2D, twice the size in 3D, where half the size costs sixteen times as much. If a mass is thinner
+    than `THIN` cells, larger cells do not show the error: for a slide a quarter of a cell thick, the change on larger
+    cells has the other sign than the change on smaller cells.
     """
     thin = min(map(least_thickness, scene.masses)) < THIN * scene.domain.cell
     return (HALF,) if scene.dimension == 2 else (HALF, TWICE) if thin else (TWICE,)
 
 
 def is_unreachable(posterior: Posterior) -> bool:
-    """Whether the likeliest parameters of all lie at a bound and leave more than scatter and noise explain.
+    """Whether the likeliest parameters lie at a bound and misfit by more than scatter and noise explain.
 
-    Whatever a stated prior; before the errors are multiplied by Birge's ratio, which moves medians off the bound.
+    A stated prior is ignored. Call it before Birge's ratio enlarges the errors, which moves medians off the bound.
     """
     samples = posterior.samples if posterior.likelihood.prior is None else posterior.plausible
     best = samples.points[[int(np.argmax(samples.log_likelihood))]]

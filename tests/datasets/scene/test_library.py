@@ -111,7 +111,7 @@ SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=
         ({"density": 18.0}, r"material\.density = 18 kg/m\^3 .* in kN/m\^3 it would be 1835 kg/m\^3"),
         ({"density": 900.0, "saturated": True}, r"density = 900 kg/m\^3, of grains and water, is no more"),
         ({"saturated": True, "water": Water(level=90.0)}, r"water\.level lies 89\.5 m above the top of the box"),
-        ({"cohesion": 1.5}, r"cohesion = 1\.5 Pa is next to nothing beside rho g h .* in kPa it would be 1500 Pa"),
+        ({"cohesion": 1.5}, r"cohesion = 1\.5 Pa is negligible compared with rho g h .* in kPa it would be 1500 Pa"),
         ({"consolidation": 30.0, "saturated": True}, r"consolidation = 30 .* in m\^2/year it would be 9\.5e-07 m\^2/s"),
         (
             {"permeability": 8.64, "young": 2.0e6, "saturated": True},

@@ -60,7 +60,7 @@ def test_a_table_is_read_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("x", "height", "settings", "message"),
     [
-        (1000.0 * X, 1000.0 * HEIGHT, {}, "got 480 m; unit says"),
+        (1000.0 * X, 1000.0 * HEIGHT, {}, "got 480 m; check `unit`"),
         (X, 2.0 * HEIGHT, {}, "0.08 m^2, for equivalent heights, got 0.168 m^2, 2.1 times"),
         (X, HEIGHT, {"datum": 1.0}, "expected a height above the floor, got none"),
         (X[:12], HEIGHT[:12], {}, "ends at x = 0.22 m"),

@@ -108,7 +108,7 @@ def test_a_bound_is_the_reason_of_many_numbers_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cells", "said"), [(0.0014, ""), (0.004, "cells of 0.0025 m (64 times the work)"), (1.0, "falls with the cells")]
+    ("cells", "said"), [(0.0014, ""), (0.004, "cells of 0.0025 m (64 times the work)"), (1.0, "falls with the cell")]
 )
 def test_finer_cells_are_advised_where_they_help(cells: float, said: str) -> None:
     fit: Any = SimpleNamespace(noise=0.001, cells=cells)

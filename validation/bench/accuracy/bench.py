@@ -1,6 +1,6 @@
 """`python -m validation.bench accuracy`: error over seconds of the MPM, whether --tolerance holds.
 
-`--ship` measures what --tolerance reads, `mpm/resolution.toml`, on other scenes; it takes longer.
+`--ship` instead measures `mpm/resolution.toml`, which --tolerance reads, on other scenes; it takes longer.
 """
 
 import math
@@ -26,22 +26,22 @@ from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.bench.page import Keep, Out, emphasised, percent, tables, write_page
 from validation.run_store import SHARE, Run, RunStore, kept
 
-TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)  # the resolution that each selects is shown
-TRIED = (0.2, 0.1, 0.05)  # these are tried on scenes that were not measured
+TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)  # the page shows the resolution that each selects
+TRIED = (0.2, 0.1, 0.05)  # tolerances tried on scenes that were not measured
 REFERENCE = {2: 56.0, 3: 48.0}  # cells of their references across the smallest side, by dimension
-SEED = 7  # of what is tried: not one of those that were measured
+SEED = 7  # of the trials: different from the measured ones
 
 
 SHIPPED = {2: (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), 3: (5.0, 7.0, 10.0, 14.0, 18.0, 24.0)}
-"""Cells across the smallest side with which `mpm/resolution.toml` is measured, by dimension, as all that follow."""
-CHECKED = {2: (7.0, 14.0), 3: (5.0,)}  # where another step, 0.4, and other particles per axis, 3, are tried too
+"""Cells across the smallest side with which `mpm/resolution.toml` is measured, by dimension, like the following."""
+CHECKED = {2: (7.0, 14.0), 3: (5.0,)}  # cells at which another step, 0.4, and 3 particles per axis are tried too
 SHIPPED_REFERENCE, SHIPPED_SEEDS = {2: 80.0, 3: 48.0}, {2: 3, 3: 2}
 
 
 def error(flow: Trajectory, reference: Trajectory) -> float:
     """The larger of the errors of front and profile of a deposit, over the extent [-]; reference: on a much finer grid.
 
-    The profile's is `measures.transport_distance`; the extent is from the rear of the masses at the start to the front.
+    The profile's error is `measures.transport_distance`; the extent is from the masses' initial rear to the front.
     """
     deposit, exact = flow.positions[-1], reference.positions[-1]
     front = measures.front(exact, reference.volumes)
@@ -51,18 +51,18 @@ def error(flow: Trajectory, reference: Trajectory) -> float:
 
 
 def deposit_of(flow: Trajectory) -> Deposit:
-    """That of a reference: the MPM on fine cells."""
+    """The deposit of a reference: the MPM on fine cells."""
     scene, start = flow.scene, initial_particles(flow.scene).positions
     return Deposit.of_positions(start, flow.positions[-1], flow.volumes, scene.domain.size, measures.ground_of(scene))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Error:
-    """Of the runs of a scene at a resolution, one per jitter."""
+    """Errors of the runs of a scene at a resolution, one per jitter."""
 
     errors: tuple[float, ...]  # over the extent [-]
     thickness: tuple[float, ...]  # `measures.Errors.thickness` [-]
-    seconds: float  # of a run, of the time of all that ran beside it
+    seconds: float  # of a run: its share of the time of all parallel runs
     particle_steps: float
 
 
@@ -111,7 +111,7 @@ def mean_seconds(errors: Mapping[str, Error]) -> float:
 
 
 def prediction_limit(errors: Sequence[float]) -> float:
-    """A bound on the error of one more scene with probability COVERAGE, from the errors of the measured scenes.
+    """A bound that the error of one more scene keeps with probability COVERAGE, from errors of the measured scenes.
 
     The upper prediction limit for one further normal variable (Hahn & Meeker 1991), m + t s sqrt(1 + 1/n) with m and s
     the mean and standard deviation of n errors and t Student's quantile for n - 1 degrees of freedom; and no less than
@@ -134,7 +134,7 @@ def bound(by_resolution: Errors, resolution: Resolution) -> float:
 
 
 def measured(dimension: int, by_resolution: Errors) -> list[MeasuredResolution]:
-    """What `--tolerance` reads."""
+    """The measured resolutions, which `--tolerance` reads."""
     return [
         MeasuredResolution(
             dimension=dimension,
@@ -149,7 +149,7 @@ def measured(dimension: int, by_resolution: Errors) -> list[MeasuredResolution]:
 
 
 def toml(resolutions: Sequence[MeasuredResolution]) -> str:
-    """`resolution.toml`."""
+    """The text of `resolution.toml`."""
     return (
         "# What resolutions promise and cost, for --tolerance. By `python -m validation.bench accuracy --ship`.\n"
         "# expected, promised: errors over the extent, rms over scenes and jitters, and the bound for nine of ten\n"
@@ -158,7 +158,7 @@ def toml(resolutions: Sequence[MeasuredResolution]) -> str:
 
 
 def selected(dimension: int, tolerance: float, resolutions: Sequence[MeasuredResolution]) -> MeasuredResolution | None:
-    """What a tolerance selects in a dimension; None where nothing that was measured is within it."""
+    """The resolution that a tolerance selects in a dimension; None if no measured one is within it."""
     scene = next(iter(read_flows(dimension, unseen=True).values()))
     try:
         return resolved(scene, tolerance, resolutions).measured
@@ -167,11 +167,11 @@ def selected(dimension: int, tolerance: float, resolutions: Sequence[MeasuredRes
 
 
 def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu") -> str:
-    """Try --tolerance on scenes that it was not measured on.
+    """Try --tolerance on scenes on which it was not measured.
 
     Args:
         ship: Measure mpm/resolution.toml instead, which takes longer.
-        arch: Of the runs, as of `mpm.run`; seconds are the processor's with the default alone.
+        arch: Architecture of the runs, as in `mpm.run`; times are processor times only with the default.
     """
     with kept(keep) as folder:
         store = RunStore(folder, partial(simulate_many, arch=arch))

@@ -1,4 +1,4 @@
-"""Scenes of every kind, from numbers without units (`flows.toml`), on which `--tolerance` is measured or tried.
+"""Scenes of every kind, from dimensionless numbers (`flows.toml`), on which `--tolerance` is measured or tried.
 
 Lengths are in S, the smallest side of the mass; a mass of length (in x) and height (in y) stands at the left wall
 or `gap` S away from it. Times are in sqrt(H / g), speeds in sqrt(g H), with H the height; stiffness and cohesion in
@@ -15,7 +15,7 @@ from datasets.scene.material import Material
 from datasets.schema import Record, from_mapping
 
 GRAVITY = 9.81
-FRAMES = 20  # of a run: only the last one is used
+FRAMES = 20  # frames of a run, of which only the last is used
 OWN_CELLS = 20  # cells across S of a scene; a resolution replaces them
 OWN_STEP = 0.9
 ROOM = 1.2  # least height of the box over that of the mass
@@ -23,20 +23,20 @@ ROOM = 1.2  # least height of the box over that of the mass
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredFlow(Record):
-    """A mass that is released or thrown, in numbers without units."""
+    """A mass that is released or thrown, in dimensionless numbers."""
 
     name: str = ""
     unseen: bool = False  # whether `--tolerance` is tried on it, not measured
     aspect: float  # height over length
     friction_deg: float
     floor: float = 0.385  # Coulomb coefficient of the floor, and of the baffles
-    wall: float = 0.0  # of all other walls; the left one is a plane of symmetry where it is smooth
+    wall: float = 0.0  # Coulomb coefficient of all other walls; a smooth left wall is a plane of symmetry
     cohesion: float = 0.0  # in rho g H; half of it is the tension cutoff
     damping: float = 0.0
     velocity: float = 0.0  # along x, in sqrt(g H)
     gap: float = 0.0  # from the left wall to the mass, in S
     depth: float = 0.0  # along z, in S; 0 in 2D
-    walls_apart: float = 0.0  # along z, in S; as far as along x where 0
+    walls_apart: float = 0.0  # along z, in S; 0: as far as along x
     box: float = 10.0  # length of the box, in S
     baffles: tuple[tuple[float, float, float, float], ...] = ()
     """x of the face, length, height and, in 3D, z of the near face of baffles [S]; as wide as long."""
@@ -90,6 +90,6 @@ class MeasuredFlow(Record):
 
 
 def read_flows(dimension: int, *, unseen: bool) -> dict[str, Scene]:
-    """The scenes of a dimension that `--tolerance` is measured on, or those that it is tried on, by name."""
+    """Name -> scene of a dimension, of those on which `--tolerance` is measured or, if `unseen`, tried."""
     flows = [from_mapping(MeasuredFlow, table) for table in read_toml(Path(__file__).with_suffix(".toml"))["flows"]]
     return {flow.name: flow.scene() for flow in flows if (flow.dimension, flow.unseen) == (dimension, unseen)}

@@ -1,1 +1,1 @@
-"""Scenes that break other solvers, each with what has to hold in it: `python -m validation.bench stability`."""
+"""Scenes that break other solvers, each with its requirements: `python -m validation.bench stability`."""

@@ -26,7 +26,7 @@ from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, fini
 FOLDER = Path(__file__).parent
 COLUMNS = {"energy": ("energy gained", ".0e"), "momentum": ("momentum error", ".0e")}
 COLUMNS |= {"volume": ("volume", "+.1%"), "slope": ("slope [°]", ".1f")}
-"""Checks that have a column of their own, with its heading and form."""
+"""Check with its own column -> heading and format."""
 ROWS = read_toml(FOLDER / "rows.toml")
 RELEASED = {
     2: (MeasuredFlow(aspect=2.0, friction_deg=30.0, box=8.0), 10),
@@ -34,7 +34,7 @@ RELEASED = {
 }
 """Columns whose fronts are compared, and cells across them, by dimension."""
 STIFFNESSES, STEPS = (1.0, 10.0, 100.0), (0.9, 0.3)
-"""Young's moduli over 150 rho g H, and steps over cell / wave speed."""
+"""Young's moduli over 150 rho g H, and time steps over cell / wave speed."""
 TRANSFERS = {"AFLIP, default": None, "APIC": 0.0}  # relaxation times of the transfer
 Fronts = Mapping[tuple[int, float, float], Mapping[str, float]]
 """Fronts [m] by each transfer, by dimension, stiffness and step."""
@@ -50,9 +50,9 @@ class HardCase(Record):
     rests: bool = False
     rings: bool = False
     until_rest: bool = False
-    energy: float | None = None  # energy that it may gain, over the available one, where that is more than usual
+    energy: float | None = None  # energy that it may gain, over the available one, if that is more than usual
     checks: tuple[dict[str, Any], ...] = ()
-    """Of `quantities.py`: `quantity`, and its keys in `rows.toml` that are others here."""
+    """Checks of `quantities.py`: `quantity`, and those of its keys in `rows.toml` that differ here."""
     over: str = ""
     within: float = 0.0
 
@@ -63,10 +63,10 @@ class HardCase(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedCase:
-    """What was found of a row; a run that gave no trajectory has a message alone."""
+    """The findings of a row; for a run without a trajectory, only a message."""
 
     row: HardCase
-    kept: tuple[Finding, ...] = ()  # what every flow, and every deposit, has to keep
+    kept: tuple[Finding, ...] = ()  # invariants of every flow and every deposit
     own: tuple[Finding, ...] = ()
     blown_up: str = ""
 
@@ -76,7 +76,7 @@ class CheckedCase:
 
 
 def read_rows(names: Sequence[str] = ()) -> list[HardCase]:
-    """The rows of these names and those they are compared with; all where there are none. Raises InputError."""
+    """The rows of these names and those they are compared with; default: all. Raises InputError."""
     rows = {table["name"]: from_mapping(HardCase, table) for table in ROWS["rows"]}
     for name in names:
         if name not in rows:
@@ -86,7 +86,7 @@ def read_rows(names: Sequence[str] = ()) -> list[HardCase]:
 
 
 def run(rows: Sequence[HardCase], precision: Precision) -> dict[str, Trajectory | WorkFailed]:
-    """The flow of each row with fields, or why there is none."""
+    """The flow of each row with fields, or the reason why there is none."""
     flows: dict[str, Trajectory | WorkFailed] = {}
     for ends in (False, True):
         group = {row.name: row.scene for row in rows if row.until_rest is ends}
@@ -98,7 +98,7 @@ def run(rows: Sequence[HardCase], precision: Precision) -> dict[str, Trajectory 
 
 
 def verdict(row: HardCase, flow: Trajectory | WorkFailed, other: Trajectory | WorkFailed | None = None) -> CheckedCase:
-    """All findings of a row; of a flow with NaN in it nothing but that. other: the flow of the row `over`."""
+    """All findings of a row; for a flow with NaN, only that. other: the flow of the row `over`."""
     if isinstance(flow, WorkFailed):
         return CheckedCase(row=row, blown_up=str(flow))
     if not (numbers := finite(flow)).ok:
@@ -122,7 +122,7 @@ def verdict(row: HardCase, flow: Trajectory | WorkFailed, other: Trajectory | Wo
 
 
 def fronts() -> Fronts:
-    """Of the columns over stiffness and step."""
+    """Fronts of the columns over stiffness and step."""
     scenes = {}
     for dimension, stiffness, step in itertools.product(RELEASED, STIFFNESSES, STEPS):
         flow, cells = RELEASED[dimension]
@@ -146,11 +146,11 @@ def front_changes(columns: Fronts) -> str:
 def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32") -> str:
     """Check every hard case, and measure factors of safety and fronts over stiffness and step.
 
-    What is wrong with a red row fails the command, once the page is written.
+    A red row makes the command fail, after the page is written.
 
     Args:
-        rows: Names of rows of `rows.toml`; all unless given.
-        precision: Of the rows.
+        rows: Names of rows of `rows.toml`; default: all.
+        precision: Precision of the rows' runs.
     """
     chosen, columns, safety = read_rows(rows), fronts(), slopes.factors(slopes.KNOWN + slopes.WITHOUT_DILATION)
     flows = run(chosen, precision)

@@ -1,4 +1,4 @@
-"""Closed forms that the solver is tested against, each an object made from its scene.
+"""Closed-form solutions for tests of the solver, each an object made from its scene.
 
     slide = SlidingBlock.of_scene(scene)
     error = centre(trajectory)[-1, 0] - slide.displacement(scene.duration)
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 def centre_displacement(flow: Trajectory) -> Floats:
-    """Displacement of the centre [m], shape [T, D]: the mean of displacements, which rounds less than that of means."""
+    """Displacement of the centre [m], shape [T, D]: the mean displacement rounds less than a difference of means."""
     return np.asarray((flow.positions.astype(np.float64) - flow.positions[0].astype(np.float64)).mean(axis=1))
 
 
@@ -40,13 +40,13 @@ class FreeFlight:
 
     @staticmethod
     def of_flow(flow: Trajectory) -> "FreeFlight":
-        """That of the first mass of a flow, with its mean time step."""
+        """The flight of the first mass of a flow, with its mean time step."""
         scene, step = flow.scene, float(flow.time[-1] / flow.summary["steps"])
         velocity = scene.masses[0].velocity or (0.0,) * scene.dimension
         return FreeFlight(velocity=velocity, gravity=scene.gravity_vector, step=step)
 
     def displacement(self, time: Floats) -> Floats:
-        """[m] at `time` [s], shape [T]; shape [T, D]."""
+        """Displacement [m], shape [T, D], at `time` [s], shape [T]."""
         t = np.asarray(time, np.float64)[:, None]
         return np.asarray(t * np.array(self.velocity) + 0.5 * np.array(self.gravity) * t * (t + self.step))
 
@@ -59,9 +59,9 @@ class SlidingBlock:
 
     @staticmethod
     def of_scene(scene: Scene) -> "SlidingBlock":
-        """That of a tilted box with the friction of its floor, and of the two walls of its channel.
+        """The block in a tilted box, with the friction of its floor and of the two walls of its channel.
 
-        The stress on these is nu times the vertical one: together they bear like a floor of 2 mu_w nu (h / 2) / W.
+        The stress on the walls is nu times the vertical one: together they act like a floor of 2 mu_w nu (h / 2) / W.
         """
         mu = coefficient(scene.floor_friction)
         if scene.channel is not None:
@@ -70,18 +70,18 @@ class SlidingBlock:
 
     @staticmethod
     def on_incline(slope_deg: float, friction: float, gravity: float = 9.81) -> "SlidingBlock":
-        """That on an incline of a coefficient of friction, under gravity [m/s^2]."""
+        """The block on an incline with a friction coefficient, under gravity [m/s^2]."""
         slope = math.radians(slope_deg)
         return SlidingBlock(acceleration=gravity * max(0.0, math.sin(slope) - friction * math.cos(slope)))
 
     def displacement(self, time: float) -> float:
-        """[m] after `time` [s]."""
+        """Displacement [m] after `time` [s]."""
         return 0.5 * self.acceleration * time**2
 
 
 @dataclass(frozen=True, kw_only=True)
 class StandingWave:
-    """The lowest mode of an elastic body: velocity and displacement of one shape that swing at omega without decay."""
+    """The lowest mode of an elastic body: velocity and displacement of one shape oscillate at omega without decay."""
 
     axis: int  # along which it moves
     omega: float  # angular frequency [1/s]
@@ -104,9 +104,9 @@ class StandingWave:
         return StandingWave(axis=1, omega=0.5 * math.pi / height * flow.scene.material.wave_speed, shape=shape)
 
     def decrement(self, flow: Trajectory) -> float:
-        """Decay per period of the amplitude in `flow` [-], -d ln a / d(t / T): 2 pi times the damping ratio, exactly 0.
+        """Decay of the amplitude in `flow` per period [-], -d ln a / d(t / T): 2 pi times the damping ratio, exactly 0.
 
-        The amplitude a^2 = <v>^2 + omega^2 <u>^2 of velocity and displacement projected on the shape does not swing.
+        The amplitude a^2 = <v>^2 + omega^2 <u>^2 of velocity and displacement projected on the shape is constant.
         """
         assert flow.velocities is not None
         x = flow.positions[:, :, self.axis].astype(np.float64)
@@ -116,7 +116,7 @@ class StandingWave:
 
 
 def settlement(scene: Scene) -> float:
-    """How far layers settle under their own weight [m], if they stay elastic and walls keep them from bulging.
+    """Settlement of layers under their own weight [m], elastic and laterally confined.
 
     u = sum over the layers of (w + rho g h / 2) h / M, with w the weight above and M the modulus of one-dimensional
     compression. The lateral stress is nu / (1 - nu) of the vertical, less than Mohr-Coulomb requires: nothing yields.

@@ -1,6 +1,6 @@
-"""What every flow keeps, and what a deposit of cohesionless sand is: each a number and the range it has to lie in.
+"""Invariants of every flow and of every deposit of cohesionless sand: each a number and its required range.
 
-A check takes a trajectory with fields (`mpm.WITH_FIELDS`) and returns what it found, None where it does not apply.
+A check takes a trajectory with fields (`mpm.WITH_FIELDS`) and returns its finding, None if it does not apply.
 """
 
 import itertools
@@ -16,12 +16,12 @@ from datasets.scene import TOLERANCE
 from datasets.scene.particles import initial_particles, initial_volumes
 from validation.bench.stability.exact_solutions import total_energy
 
-ROUNDING = 1.0e-4  # cells: what single precision makes of a coordinate in a box of some hundred cells
+ROUNDING = 1.0e-4  # cells: rounding of a single-precision coordinate in a box of some hundred cells
 MOMENTUM = {"f32": 1.0e-4, "f64": 1.0e-5}
-"""Relative: in f32 the rounding of 10,000 steps; in f64 that of the recorded impulses, which have six digits."""
+"""Relative error: in f32 the rounding of 10,000 steps; in f64 that of the recorded impulses, which have six digits."""
 ENERGY = 2.0e-4
-"""Of the initial energy: what lifts the whole flow by this part of its initial mean height. A row may allow more."""
-REST = 1.0e-3  # kinetic energy over its largest: what `until_rest` of the solver calls rest
+"""Share of the initial energy: it would lift the flow by this share of its mean height. A row may allow more."""
+REST = 1.0e-3  # kinetic energy over its largest value at which the solver's `until_rest` ends
 BASE = 8  # cells over which a slope is measured
 REPOSE_MARGIN_DEG = 4.0
 """The surface is known to a third of a cell (the topmost particle of each column): 2.6 degrees over 8 cells, and the
@@ -33,7 +33,7 @@ VOLUME = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A number that was found of a flow, and the range in which it has to lie."""
+    """A number found in a flow, and its required range."""
 
     check: str
     value: float
@@ -43,12 +43,12 @@ class Finding:
 
     @property
     def ok(self) -> bool:
-        """Whether it does; NaN does not."""
+        """Whether the number lies in the range; NaN does not."""
         return self.minimum <= self.value <= self.maximum
 
     @property
     def range(self) -> str:
-        """The range, to be read."""
+        """The range as text."""
         if math.isinf(self.maximum):
             return f"≥ {self.minimum:.4g}"
         return f"≤ {self.maximum:.4g}" if math.isinf(self.minimum) else f"{self.minimum:.4g} to {self.maximum:.4g}"
@@ -58,7 +58,7 @@ class Finding:
 
 
 def finite(flow: Trajectory) -> Finding:
-    """How many of all recorded numbers are NaN or infinite."""
+    """Number of recorded values that are NaN or infinite."""
     recorded = [flow.positions, flow.velocities, flow.pressure, flow.plastic_strain, flow.solid_impulse]
     arrays = [array for array in recorded if array is not None] + [total_energy(flow), wall_impulse(flow)]
     return Finding(check="not finite", value=sum(int((~np.isfinite(array)).sum()) for array in arrays), maximum=0)
@@ -75,7 +75,7 @@ def inside_box(flow: Trajectory) -> Finding:
 def outside_baffles(flow: Trajectory) -> Finding | None:
     """How deep any particle in any frame is inside a baffle [cells].
 
-    A face on a wall of the box does not count: below a baffle on the floor is no outside.
+    A face on a wall of the box does not count: there is no outside below a baffle on the floor.
     """
     scene, deepest = flow.scene, 0.0
     if not scene.baffles:
@@ -91,7 +91,7 @@ def outside_baffles(flow: Trajectory) -> Finding | None:
 
 
 def mass(flow: Trajectory) -> Finding | None:
-    """Relative error of the volume of the particles, lost ones included, against that of the boxes that were filled."""
+    """Relative error of the particles' volume, including lost ones, against the volume of the filled boxes."""
     if any(body.kind != "box" for body in flow.scene.masses):
         return None
     boxes = sum(math.prod(body.size) for body in flow.scene.masses)
@@ -112,7 +112,7 @@ def momentum(flow: Trajectory) -> Finding | None:
     weights = particle_masses(flow)
     total = np.einsum("n, tnd -> td", weights, flow.velocities.astype(np.float64))
     gravity = weights.sum() * np.array(scene.gravity_vector)
-    # Frames after the end repeat the last one that was computed.
+    # Frames after the end repeat the last computed one.
     end = flow.summary.get("end_time") or flow.summary.get("rest_time")
     time = flow.time if end is None else np.minimum(flow.time, end)
     given = wall_impulse(flow)
@@ -149,7 +149,7 @@ def rest(flow: Trajectory) -> Finding:
 def slope(flow: Trajectory) -> Finding:
     """Steepest slope of the final surface [deg], of planes fitted to BASE columns of a cell, in 3D to BASE x BASE.
 
-    Against the largest angle of friction in the scene and a margin.
+    The limit is the largest friction angle in the scene plus a margin.
     """
     angle = max(flow.scene.material_of(mass).phi_deg for mass in flow.scene.masses)
     surface, cell = topmost(flow), flow.scene.domain.cell
@@ -166,10 +166,10 @@ def slope(flow: Trajectory) -> Finding:
 
 
 def volume(flow: Trajectory) -> Finding | None:
-    """Volume of the core of the deposit over what its particles had at the start, minus 1.
+    """Volume of the core of the deposit over the initial volume of its particles, minus 1.
 
-    From the particles in cubes of two cells that lie at least a cube under the surface, their own and their
-    neighbours'. Sand at psi = 0 flows at constant volume. None where there are fewer than ten such cubes.
+    It uses particles in cubes of two cells that, with their neighbours, lie at least a cube under the surface. Sand at
+    psi = 0 flows at constant volume. None if there are fewer than ten such cubes.
     """
     sand, core = core_volumes(flow)
     if core.sum() < MIN_CUBES:

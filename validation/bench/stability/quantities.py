@@ -1,6 +1,6 @@
-"""What single rows have to show besides what every flow keeps: numbers, most of them over an exact solution's.
+"""Quantities of single rows, in addition to the invariants of every flow; most are divided by an exact solution.
 
-A function here is named in `rows.toml`, which says how it is called and in which range it usually has to lie.
+`rows.toml` names the functions here, with a label and the usual range of each.
 """
 
 import math
@@ -40,13 +40,13 @@ def thrust_ratio(flow: Trajectory) -> float:
 
 
 def moves_on(flow: Trajectory) -> float:
-    """Displacement of the centre of a body on which no force along its motion acts, over v t."""
+    """Displacement of the centre of a body without force along its motion, over v t."""
     free = np.array(flow.scene.masses[0].velocity) * flow.time[-1]
     return float(exact.centre_displacement(flow)[-1] @ free / (free @ free))
 
 
 def spins_on(flow: Trajectory) -> float:
-    """Kinetic energy at the end over that at the start, of a rigid body that turns freely: 1."""
+    """Kinetic energy at the end over that at the start, for a freely rotating rigid body: 1."""
     kinetic = flow.summary["energy"]["kinetic"]
     return float(kinetic[-1] / kinetic[0])
 
@@ -62,10 +62,10 @@ def falls_freely(flow: Trajectory) -> float:
 
 
 def parts_freely(flow: Trajectory) -> float:
-    """How high the upper mass has risen at the end, over v t - g t^2 / 2 of a free throw.
+    """Rise of the upper mass at the end, over v t - g t^2 / 2 of a free throw.
 
-    Where the masses part, one row of nodes is common to both and shares its velocity; that may cost the thrown one
-    a tenth of its rise. More than a free throw would be energy from nowhere.
+    Where the masses separate, they share one row of nodes and its velocity; that may cost the thrown one a tenth of its
+    rise. More than a free throw would be a gain of energy.
     """
     upper, scene = flow.scene.masses[1], flow.scene
     assert upper.velocity is not None
@@ -94,8 +94,8 @@ def layer_decrement(flow: Trajectory) -> float:
 def stays_at_rest(flow: Trajectory) -> float:
     """Largest speed of any particle in any frame: 0 in geostatic equilibrium.
 
-    In f32 a stress of rho g H is known to eps rho g H, eps = 6e-8, an acceleration of eps g H / dx that acts until
-    the cell's own elasticity balances it, for dx / c at the most: eps g H / c, times the ten roundings of a node.
+    In f32 a stress of rho g H has the error eps rho g H, eps = 6e-8. It gives an acceleration of eps g H / dx until the
+    elasticity of the cell balances it, after at most dx / c: a speed of eps g H / c, times the ten roundings of a node.
     """
     assert flow.velocities is not None
     return float(np.linalg.norm(flow.velocities.astype(np.float64), axis=2).max())
@@ -114,8 +114,8 @@ def fills_raster(flow: Trajectory) -> float:
 def at_rest_beyond_step(flow: Trajectory) -> NDArray[np.bool_]:
     """Which particles rest beyond the first solid, shape [N].
 
-    Grains that still fall are left out, those that move by more than a tenth of a cell in a frame, and those within
-    three cells of the step, where one on its edge would count as a column as high as the step.
+    It leaves out particles that still move by more than a tenth of a cell per frame, and those within three cells of
+    the step, where one on its edge would count as a column as high as the step.
     """
     before, last = flow.positions[-2:].astype(np.float64)
     step, cell = flow.scene.solids[0], flow.scene.domain.cell
@@ -126,7 +126,7 @@ def at_rest_beyond_step(flow: Trajectory) -> NDArray[np.bool_]:
 
 
 def fills_its_volume(flow: Trajectory) -> float:
-    """Volume under the surface of what rests beyond the first solid, over that of its particles."""
+    """Volume under the surface of the material at rest beyond the first solid, over that of its particles."""
     rests = at_rest_beyond_step(flow)
     volumes = flow.volumes[rests].astype(np.float64)
     spacing = particle_spacing(volumes, flow.scene.dimension)
@@ -134,9 +134,9 @@ def fills_its_volume(flow: Trajectory) -> float:
 
 
 def lies_as_high_as_dense(flow: Trajectory) -> float:
-    """Mean height of what rests beyond the first solid over half its volume per area, in strips a cell wide across x.
+    """Mean height of the material at rest beyond the first solid over half its volume per area, in strips a cell wide.
 
-    It does not count how rough a surface is: in 3D that of a deposit five particles thick is rough by one of them.
+    It ignores the roughness of the surface: in 3D a deposit five particles thick is rough by one particle.
     """
     rests = at_rest_beyond_step(flow)
     positions, volumes = flow.positions[-1, rests].astype(np.float64), flow.volumes[rests].astype(np.float64)
@@ -150,21 +150,21 @@ def lies_as_high_as_dense(flow: Trajectory) -> float:
 
 
 def settles_at_most_twice(flow: Trajectory) -> float:
-    """The same of the deepest frame: undamped, it may sink twice as far as under a load that comes slowly."""
+    """The same in the deepest frame: undamped, it may settle twice as far as under a slowly applied load."""
     return float(surface_settlement(flow).max()) / exact.settlement(flow.scene)
 
 
 def rests_settled(flow: Trajectory) -> float:
-    """The same when the solver calls it at rest: a bed swings between 0 and twice that, where nothing moves either."""
+    """The same when the solver detects rest: a bed oscillates between 0 and twice that, where nothing moves either."""
     rest = flow.summary.get("rest_time")
     frame = 0 if rest is None else int(np.argmin(np.abs(flow.time - rest)))
     return float(surface_settlement(flow)[frame]) / exact.settlement(flow.scene)
 
 
 def rests_after_landing(flow: Trajectory) -> float:
-    """Time at which the solver calls thrown sand at rest, over that of its landing; inf where it never does.
+    """Time at which the solver detects rest of thrown sand, over that of its landing; inf if it never does.
 
-    What is thrown up at v from the height h comes down after (v + sqrt(v^2 + 2 g h)) / g.
+    Sand thrown upwards at v from the height h lands after (v + sqrt(v^2 + 2 g h)) / g.
     """
     rest, (mass, *_), gravity = flow.summary.get("rest_time"), flow.scene.masses, flow.scene.gravity
     up = mass.velocity[1] if mass.velocity else 0.0
@@ -173,15 +173,15 @@ def rests_after_landing(flow: Trajectory) -> float:
 
 
 def stands(flow: Trajectory) -> float:
-    """Mean height lost by soil far from failure, of the second half of the frames; rho g H^2 / (3 E) is elastic."""
+    """Mean loss of height of soil far from failure, in the second half of the frames; rho g H^2 / (3 E) is elastic."""
     height = flow.positions[:, :, 1].mean(axis=1, dtype=np.float64)
     return in_cells(height[0] - height[len(height) // 2 :].mean(), flow)
 
 
 def spreads(flow: Trajectory) -> float:
-    """The front over that of a pile at the angle of friction, of the area of the column L x H at the wall.
+    """The front over that of a pile at the friction angle with the area of the column L x H at the wall.
 
-    A trapezoid, L + H / (2 tan phi), where H <= 2 L tan phi, else a triangle, sqrt(2 L H / tan phi).
+    The pile is a trapezoid, L + H / (2 tan phi), if H <= 2 L tan phi, else a triangle, sqrt(2 L H / tan phi).
     """
     masses, tan_phi = flow.scene.masses, flow.scene.material.friction
     length, height = masses[0].size[0], sum(mass.size[1] for mass in masses)
@@ -198,21 +198,21 @@ def creeps(flow: Trajectory) -> float:
 
 
 def runs_out(flow: Trajectory) -> float:
-    """How far the front has moved."""
+    """Displacement of the front."""
     return in_cells(front(flow.positions[-1], flow.volumes) - front(flow.positions[0], flow.volumes), flow)
 
 
 def fails(flow: Trajectory) -> float:
     """Share of the particles that moved by a cell or more: from 0.05 on a cut has failed.
 
-    A slice of a cell off its face is less, and Rankine's wedge behind a cut as wide as it is high a quarter.
+    A slice of one cell off its face is less; Rankine's wedge behind a cut as wide as high is a quarter.
     """
     moved = np.linalg.norm((flow.positions[-1] - flow.positions[0]).astype(np.float64), axis=1)
     return float((moved >= flow.scene.domain.cell).mean())
 
 
 def wall_stops(flow: Trajectory) -> float:
-    """Largest momentum given to the walls along x, over that of the thrown mass: 1 where it stops, 2 if it bounces."""
+    """Largest momentum given to the walls along x, over that of the thrown mass: 1 if it stops, 2 if it bounces."""
     return share_of_throw(flow, wall_impulse(flow))
 
 
@@ -229,14 +229,14 @@ def passes_baffle(flow: Trajectory) -> float:
 
 
 def is_round(flow: Trajectory) -> float:
-    """Largest difference between the extents of the deposit along +x, -x, +z and -z from where it started."""
+    """Largest difference between the extents of the deposit along +x, -x, +z and -z from its initial place."""
     start, end = flow.positions[0].mean(axis=0, dtype=np.float64), flow.positions[-1]
     extents = [np.quantile(sign * (end[:, axis] - start[axis]), 0.995) for axis in (0, 2) for sign in (-1, 1)]
     return in_cells(max(extents) - min(extents), flow)
 
 
 def is_symmetric(flow: Trajectory) -> float:
-    """Difference between the toes along x and z, the mean of the furthest tenth, where both are alike."""
+    """Difference between the toes (mean of the furthest tenth) along x and z, which should be equal."""
     end = flow.positions[-1]
     return in_cells(abs(toe(end)[0] - toe(end[:, ::-1])[0]), flow)
 
@@ -254,14 +254,14 @@ def in_cells(length: float, flow: Trajectory) -> float:
 
 
 def surface_settlement(flow: Trajectory) -> NDArray[np.float64]:
-    """How far the topmost cell of particles has settled [m], shape [T]."""
+    """Settlement of the topmost cell of particles [m], shape [T]."""
     start = flow.positions[0, :, 1]
     top = start > start.max() - flow.scene.domain.cell
     return np.asarray((start[top] - flow.positions[:, top, 1]).mean(axis=1, dtype=np.float64))
 
 
 def mass_height(flow: Trajectory, index: int) -> NDArray[np.float64]:
-    """Height of the centre of what was one of the scene's masses [m], shape [T]."""
+    """Height of the centre of one of the scene's initial masses [m], shape [T]."""
     box = flow.scene.masses[index]
     start = flow.positions[0, :, 1]
     mass = (start > box.lower[1]) & (start < box.lower[1] + box.size[1])

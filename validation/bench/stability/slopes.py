@@ -1,4 +1,4 @@
-"""Slopes whose factor of safety is known (`slopes.toml`), and the one that `mpm.safety_factor` finds over it."""
+"""Slopes with a known factor of safety (`slopes.toml`), and the factor from `mpm.safety_factor` over it."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ CELLS = (10, 20, 40)  # over the height
 
 @dataclass(frozen=True, kw_only=True)
 class KnownSlope(Record):
-    """A slope above a rough floor at its toe, of a material that bears tension up to the apex of its cone."""
+    """A slope above a rough floor at its toe, of a material that carries tension up to the apex of its cone."""
 
     name: str
     factor: float  # its factor of safety [-]
@@ -27,10 +27,10 @@ class KnownSlope(Record):
     steepness_deg: float
     friction_deg: float
     cohesion: float = 0.0  # c / (rho g H) [-]
-    dilates: bool = True  # psi = phi, as limit analysis and charts have it; without, psi = 0
+    dilates: bool = True  # psi = phi, as in limit analysis and charts; else psi = 0
 
     def scene(self, cells: int) -> Scene:
-        """With so many cells over the height."""
+        """The scene with so many cells over the height."""
         run, cell = HEIGHT / math.tan(math.radians(self.steepness_deg)), HEIGHT / cells
         corners = ((0.0, 0.0), (1.5 * HEIGHT + run, 0.0), (1.5 * HEIGHT, HEIGHT), (0.0, HEIGHT))
         length, tall = (cell * math.ceil(extent / cell) for extent in (2.1 * HEIGHT + run, 1.2 * HEIGHT))
@@ -63,7 +63,7 @@ def factors(slopes: Sequence[KnownSlope]) -> Factors:
 
 
 def rows(by_slope: Factors) -> list[Row]:
-    """Found over known factors, and seconds, by cells."""
+    """Computed over known factors, and seconds, by number of cells."""
     return [
         {"slope": slope.name, "known": f"{slope.factor:.3f}, {slope.source}"}
         | {f"{count} cells": f"{computed.factor / slope.factor:.3f}" for count, computed in by_cells.items()}
@@ -73,7 +73,7 @@ def rows(by_slope: Factors) -> list[Row]:
 
 
 def conclusion(by_slope: Factors) -> str:
-    """The largest deviation from a known factor, by cells, of those that are known for the law that was run."""
+    """The largest deviation from a known factor, by number of cells, for factors known for the computed law."""
     slopes = {slope: by_cells for slope, by_cells in by_slope.items() if slope in KNOWN}
     off = {
         count: max(abs(by_cells[count].factor / slope.factor - 1.0) for slope, by_cells in slopes.items())
