@@ -212,7 +212,7 @@ def mass_volumes(scene: Scene) -> Floats:
 
 
 def volume_shares(scene: Scene) -> list[Floats]:
-    """For each mass, the volume of its particles over their mean without a field of thickness [-]; [1] if all are alike."""
+    """For each mass, the volume of its particles over their mean without a field of thickness [-]; [1] if alike."""
     shares = stretches(scene)
     for index, mass in enumerate(scene.masses):
         if mass.kind == "layer" and (uneven := filling(scene, mass).shares) is not None:
