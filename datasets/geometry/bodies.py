@@ -234,7 +234,7 @@ def layered(plan: "Plan", share: float) -> tuple[Floats, Floats, Floats | None]:
     row = np.arange(len(height)) - np.repeat(np.cumsum(rows) - rows, rows)
     lattice = np.insert(np.repeat(columns, rows, axis=0), 1, (row + 0.5) * height, axis=1)
     spacing = np.insert(np.tile(across, (len(height), 1)), 1, height, axis=1)
-    return lattice, spacing, height / height.mean() if len(height) else None
+    return lattice, spacing, height / height.mean() if len(np.unique(height)) > 1 else None
 
 
 class Plan:

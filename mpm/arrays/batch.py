@@ -258,8 +258,10 @@ class Batch:
             if features.contact:
                 put(features.state.contacts + Contact.NORMAL + features.dimension, shear)
             self.energies(index)[0, Energy.ELASTIC] = elastic_energy(particles, stress)
-        if features.heterogeneous:
-            put(features.state.properties, properties_of(particles)[:, : features.columns])
+        if features.heterogeneous or features.uneven:
+            # Of particles that differ in volume alone the first column (`Property.VOLUME`).
+            columns = features.columns if features.heterogeneous else 1
+            put(features.state.properties, properties_of(particles)[:, :columns])
         if features.recorded.until_rest:
             put(features.state.before, particles.velocities * particles.present[:, None])
         real = np.arange(len(source)) < count

@@ -65,7 +65,8 @@ class Features:
     dilates: bool = False
     softens: bool = False  # strength depends on the plastic strain, which is then part of the state
     inertial: bool = False  # friction grows with the inertial number (`mpm.physics.inertial`)
-    heterogeneous: bool = False  # a scene has several materials, or particles of several volumes or frictions
+    heterogeneous: bool = False  # a scene has several materials, or particles of several frictions or strengths
+    uneven: bool = False  # a scene has particles of several volumes
     volume_correction: bool = False  # a particle carries the gap to its neighbours
     damped: bool = False
     listed: bool = False  # solids have listed faces
@@ -147,7 +148,7 @@ class Features:
             gap=int(self.volume_correction),  # mean stress that the opening would have caused [Pa]
             contacts=self.contact_vectors,
             present=1,  # 0 in lanes that mirror a scene's last particle, and for those that have left or not entered
-            properties=self.columns if self.heterogeneous else 0,
+            properties=self.columns if self.heterogeneous else int(self.uneven),
             remainder=size if self.compensated else 0,  # rounding error of the position [m]
             before=size if self.recorded.until_rest else 0,  # the velocity at the end of the frame before
             entry=(1 + size) * int(self.inflow),  # frames to wait, 0 after entry; velocity at entry
@@ -229,6 +230,7 @@ def features_of(
         **law.features(materials, stages),
         volume_correction=law.OPENS and (wet or any(remembers_gaps(scene) for scene in scenes)),
         heterogeneous=any(varies(scene) for scene in scenes),
+        uneven=any(has_uneven_particles(scene) for scene in scenes),
         contact=any(scene.baffles or scene.solids for scene in scenes),
         listed=any(has_faces(scene) for scene in scenes),
         terrain=any(has_field(scene) for scene in scenes),
@@ -255,13 +257,17 @@ def drags_of(scene: Scene) -> list[float]:
 
 
 def varies(scene: Scene) -> bool:
-    """Whether a scene has several materials or stages, or particles of several volumes, frictions or strengths."""
+    """Whether a scene has several materials or stages, or particles of several frictions or strengths."""
     materials = {scene.material_of(mass) for mass in scene.masses}
     return (
         len(materials) > 1
         or len(scene.stages) > 0
-        or len(set(mass_particle_volumes(scene).tolist())) > 1
-        or any(len(shares) > 1 for shares in volume_shares(scene))
         or any(field.quantity == FRICTION for field in scene.fields)
         or any(material.strength_gradient > 0.0 for material in materials)
     )
+
+
+def has_uneven_particles(scene: Scene) -> bool:
+    """Whether a scene has particles of several volumes."""
+    shares = volume_shares(scene)
+    return len({*mass_particle_volumes(scene).tolist()}) > 1 or any(len(uneven) > 1 for uneven in shares)

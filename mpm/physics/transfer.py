@@ -53,9 +53,9 @@ from mpm.physics.volume_correction import held_affine, is_loose, looseness
 
 @ti.func
 def property_of(scene, block, column: ti.template(), arrays: ti.template()):
-    """A property of the particles: one number per scene, or one per lane where the scene is heterogeneous."""
+    """A property of the particles: one number per scene, or one per lane where it differs between particles."""
     features = arrays.features
-    if ti.static(features.heterogeneous):
+    if ti.static(features.heterogeneous or (features.uneven and column == Property.VOLUME)):
         return arrays.state[block * features.state.size + features.state.properties + column]
     else:
         return arrays.properties[scene, column]
