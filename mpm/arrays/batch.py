@@ -45,7 +45,7 @@ from mpm.arrays.properties import (
 from mpm.initial.barriers import held_tables
 from mpm.initial.slope import begins_as_slope
 from mpm.initial.water import initial_water
-from mpm.output.recording import ALL, Recording, window_frames
+from mpm.output.recording import ALL, PRESENT, Recording, window_frames
 from mpm.solids.bed import bed_arrays
 from mpm.solids.obstacles import initial_contacts, near_walls, obstacles_of
 
@@ -268,8 +268,9 @@ class Batch:
         self.order[first : first + len(source)] = source
         if self.recording.every > 0:
             self.store(index, 0)
-        mass = particles.density * particles.volume * particles.present
-        energies = self.energies(index)
+        all_mass = particles.density * particles.volume
+        mass, energies = all_mass * particles.present, self.energies(index)
+        energies[0, Energy.ABSENT] = 1.0 - mass.sum() / all_mass.sum()
         affine = 0.25 * scene.domain.cell**2 * np.einsum("nij,nij->n", *2 * [particles.velocity_gradients])
         energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * (np.sum(particles.velocities**2, axis=1) + affine))
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
@@ -370,6 +371,10 @@ class Batch:
         """What `Energy` lists of one scene, in all of its frames, kept or not, shape [frames, len(Energy)]; a view."""
         first = self.offsets[index, Offset.ENERGY]
         return self.energy[first : first + self.scenes[index].frames]
+
+    def present(self, index: int) -> NDArray[np.float64]:
+        """Share of the mass of one scene that is in its box, in all of its frames, at least PRESENT, shape [frames]."""
+        return np.maximum(1.0 - self.energies(index)[:, Energy.ABSENT], PRESENT)
 
     def impulses(self, index: int) -> NDArray[np.float64]:
         """Momentum that solids have taken up to each frame [N s, per metre of width in 2D], shape [frames, solids, D].

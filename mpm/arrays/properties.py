@@ -64,7 +64,8 @@ def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
 
 def settings_row(scene: Scene, particles: Particles) -> list[float]:
     """One line of `settings`, in the order of `Setting`."""
-    weight = float((particles.density * particles.volume).sum()) * scene.gravity
+    mass = float((particles.density * particles.volume).sum())
+    weight = mass * scene.gravity
     pores = pore_numbers(scene)
     values = {
         Setting.CELL: scene.domain.cell,
@@ -82,6 +83,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.SLOW_AFFINE: 2.0 * scene.gravity / scene.domain.cell,
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
+        Setting.MASS: mass,
         Setting.WEIGHT: weight,
         Setting.REST_ENERGY: REST_ENERGY * weight * scene_height(scene),
         Setting.SEEPAGE: seepage(scene),
