@@ -74,18 +74,35 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
     frames = np.rint(time / scene.frame_dt).astype(int)
     recorded |= {name: np.array(series)[frames] for name, series in trajectory.summary.get("side_impulse", {}).items()}
     require(bool(recorded), "", "a trajectory that recorded the momentum solids took, this one did not")
-    end = min(float(time[-1]), float(trajectory.summary.get("end_time") or time[-1]))
-    require(end != 0.0, "", "a trajectory of more than its start")
-    require(0.0 <= window <= 2.0 * end, "", f"a window of 0 to {2.0 * end:g} s", f"{window:g} s")
-    # A frame at the start ends no interval, and frames after the deposit came to rest repeat that moment.
-    kept = slice(1 if time[0] == 0.0 else 0, int(np.searchsorted(time, end * (1.0 - ROUNDING))) + 1)
-    ends = np.minimum(time[kept], end)
-    edges = np.concatenate([[0.0], ends])
+    kept, edges = intervals(trajectory)
+    require(len(edges) > 1, "", "a trajectory of more than its start")
+    require(0.0 <= window <= 2.0 * edges[-1], "", f"a window of 0 to {2.0 * edges[-1]:g} s", f"{window:g} s")
     impulse = np.stack([series[kept] for series in recorded.values()], axis=1)
     impulse = np.concatenate([np.zeros_like(impulse[:1]), impulse])
     if window > 0.0:
         impulse = smoothed(impulse, edges, window)
-    return Forces(names=tuple(recorded), time=ends, force=np.diff(impulse, axis=0) / np.diff(edges)[:, None, None])
+    return Forces(names=tuple(recorded), time=edges[1:], force=np.diff(impulse, axis=0) / np.diff(edges)[:, None, None])
+
+
+def intervals(trajectory: Trajectory) -> tuple[slice, Floats]:
+    """The frames [T] that end an interval over which a force is a mean, and where the intervals begin and end [s],
+    shape [T + 1]. A frame at the start ends none, nor do those after the end of the computation, which repeat it."""
+    time = trajectory.time
+    end = min(float(time[-1]), float(trajectory.summary.get("end_time") or time[-1]))
+    kept = slice(1 if time[0] == 0.0 else 0, int(np.searchsorted(time, end * (1.0 - ROUNDING))) + 1)
+    return kept, np.concatenate([[0.0], np.minimum(time[kept], end)])
+
+
+def momentum(trajectory: Trajectory) -> Floats | None:
+    """The momentum that each solid has taken up to each frame, shape [T, S, D], None where it was not recorded. A
+    deposit at rest still leans on a solid: in frames after the end of the computation, whose recorded momentum repeats
+    that of the end, the last force goes on."""
+    (kept, edges), recorded = intervals(trajectory), trajectory.solid_impulse
+    if recorded is None or len(edges) == 1:
+        return recorded
+    gained = np.diff(recorded[kept][-2:], axis=0, prepend=0.0 * recorded[:1])[-1]
+    after = np.maximum(trajectory.time - edges[-1], 0.0)
+    return np.asarray(recorded + after[:, None, None] * gained / (edges[-1] - edges[-2]))
 
 
 def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:

@@ -116,7 +116,7 @@ def add_solids(plotter: Any, meshes: Meshes, corners: Floats) -> None:
             parts.append(pyvista.PolyData(ring, [len(ring), *range(len(ring))]).triangulate())
         solids = [(part, number < count) for number, part in enumerate(parts)]
     else:
-        surface = meshes.part("solids", 0, 0)
+        surface = meshes.part("solids", 0)
         solids = [
             (surface.extract_cells(np.flatnonzero(chosen).tolist()).extract_surface(algorithm=None), baffles)
             for chosen, baffles in ((surface["solid"] < count, True), (surface["solid"] >= count, False))

@@ -92,8 +92,9 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
     differ between scenes are [smallest, largest]. seed: if it was drawn; statistics: of the first entry's split."""
     scenes = [entry.scene for entry in entries]
     scene = scenes[0]
-    materials = [asdict(member.material) for member in scenes]
-    angles = [member.material.friction_deg for member in scenes]
+    # Each mass's own: what the scene has for masses without one may be the material of none.
+    materials = [asdict(member.material_of(mass)) for member in scenes for mass in member.masses]
+    angles = [material.pop("friction_deg") for material in materials]
 
     counted = dict(zip(("velocities", "accelerations"), statistics.count[:, 0].tolist(), strict=True))
 
@@ -120,9 +121,7 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
         "cell": extremes([member.domain.cell for member in scenes]),
         "particles_per_axis": shared("particles_per_axis"),
         "step_fraction": shared("step_fraction"),
-        "material": {
-            key: extremes([material[key] for material in materials]) for key in materials[0] if key != "friction_deg"
-        },
+        "material": extremes(materials),
         "friction_deg": [min(angles), max(angles)],
         **{key: shared(key) for key in ("floor_friction", "wall_friction", "baffle_friction", "damping")},
         "version": __version__,
@@ -130,8 +129,11 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
 
 
 def extremes(values: Sequence[Any]) -> Any:
-    """The common value of all, else the smallest and the largest of the numbers."""
+    """The common value of all, else the smallest and the largest of the numbers; for tables, those of each key."""
     if all(value == values[0] for value in values):
         return values[0]
+    if all(isinstance(value, dict) for value in values):
+        keys = dict.fromkeys(key for value in values for key in value)
+        return {key: extremes([value[key] for value in values if key in value]) for key in keys}
     numbers = [value for value in values if isinstance(value, float | int)]
     return [min(numbers), max(numbers)] if numbers else sorted({str(value) for value in values})

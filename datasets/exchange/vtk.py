@@ -14,6 +14,7 @@ from datasets.errors import WorkFailed
 from datasets.files import replacing
 from datasets.flow.fields import FlowFields
 from datasets.flow.trajectory import Trajectory
+from datasets.forces import momentum
 from datasets.geometry.surface import surface_of
 from datasets.scene import Baffle, Mass, Scene
 
@@ -37,15 +38,16 @@ class Meshes:
 
     def __init__(self, trajectory: Trajectory) -> None:
         self.trajectory, self.fields, scene = trajectory, FlowFields(trajectory), trajectory.scene
+        self.momentum = momentum(trajectory)
         solids = ("solids",) if scene.baffles or scene.solids else ()
         self.parts: tuple[str, ...] = (MOVING, *solids, "domain")  # the same in every frame
 
-    def part(self, name: str, frame: int, since: int) -> "pyvista.PolyData":
+    def part(self, name: str, frame: int, since: int | None = None) -> "pyvista.PolyData":
         """The part `name` at `frame`: particles with their fields, a vertex each, the edges of the box, or the solids.
 
         The faces of solids have the number of their solid, baffles first, its friction, infinite without slip, and,
         where it was recorded, the `impulse` [N s] that the whole solid has got until `frame`, and the mean `force` [N]
-        on it since the frame `since`, both in 2D per metre of width.
+        on it since the frame `since`, or the start, both in 2D per metre of width.
         """
         import pyvista
 
@@ -65,11 +67,13 @@ class Meshes:
             points = spatial(surface.corners.reshape(-1, surface.dimension))
             mesh = pyvista.PolyData(points, lines=faces) if width == 2 else pyvista.PolyData(points, faces)
             arrays = {"solid": surface.solid, "friction": surface.friction.mean(axis=1).astype(np.float32)}
-            data, impulse = mesh.cell_data, trajectory.solid_impulse
-            if impulse is not None:
-                gained, elapsed = impulse[frame] - impulse[since], trajectory.time[frame] - trajectory.time[since]
+            data, impulse, taken = mesh.cell_data, trajectory.solid_impulse, self.momentum
+            if impulse is not None and taken is not None:
+                gained, elapsed = taken[frame], trajectory.time[frame]
+                if since is not None:
+                    gained, elapsed = gained - taken[since], elapsed - trajectory.time[since]
                 arrays["impulse"] = impulse[frame][surface.solid]
-                arrays["force"] = (gained / elapsed if elapsed > 0.0 else gained)[surface.solid]
+                arrays["force"] = (gained / elapsed if elapsed > 0.0 else 0.0 * gained)[surface.solid]
         for key, values in arrays.items() if mesh.n_points else ():
             data[key] = values if values.ndim == 1 else spatial(values, 6 if key == "stress" else 3)
             per_width = scene.dimension == 2 and key in ("impulse", "force")
@@ -131,7 +135,7 @@ def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, pro
     folder.mkdir(parents=True, exist_ok=True)
     series = ElementTree.Element("VTKFile", type="Collection", version="0.1", byte_order="LittleEndian")
     collection = ElementTree.SubElement(series, "Collection")
-    meshes, since, corner = Meshes(trajectory), 0, trajectory.scene.domain.corner
+    meshes, since, corner = Meshes(trajectory), None, trajectory.scene.domain.corner
     # Parts that change in every frame.
     changing = {MOVING, *(("solids",) if trajectory.solid_impulse is not None else ())}
     with tempfile.TemporaryDirectory(dir=folder, prefix=".vtk-") as name:

@@ -13,7 +13,7 @@ from datasets.geometry.shapes import check_grid, check_rows, check_shape, check_
 from datasets.scene.grid_field import FRICTION, THICKNESS, VELOCITIES, Field
 from datasets.scene.material import ANGLES, MOHR_COULOMB
 from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, SceneLayout, Water, keyed
-from datasets.scene.water import consolidation, saturated
+from datasets.scene.water import consolidation, saturated, unlikely_water
 from datasets.schema import FARTHEST
 
 MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28  # of the box, within what 32 bits count
@@ -243,14 +243,26 @@ def check_stages(scene: SceneLayout) -> None:
             require(paired, f"{key}.{name}", f"lower and size together, {other} is given", "none")
             if vector is not None:
                 check_vector(vector, f"{key}.{name}", dimension)
+        regions: dict[str, Any] = {}
+        if stage.lower is not None and stage.size is not None:
+            regions["lower"] = zip(stage.lower, np.add(stage.lower, stage.size), scene.domain.size, strict=True)
         if stage.outline is not None:
             check_rows(stage.outline, f"{key}.outline", dimension - 1, least=dimension)
+            corners = np.min(stage.outline, axis=0), np.max(stage.outline, axis=0)
+            regions["outline"] = zip(*corners, scene.domain.size[::2], strict=True)
+        for name, spans in regions.items():
+            inside = all(low <= length and high >= 0.0 for low, high, length in spans)
+            expected = f"a region inside the domain {list(scene.domain.size)}, in part at least"
+            require(inside, f"{key}.{name}", expected, list(getattr(stage, name)))
         require(bool(stage.values), key, "a constant of the material that changes", "none")
         try:
             values: dict[str, Any] = dict(stage.values)
             materials |= {dataclasses.replace(material, **values) for material in materials}
         except InputError as error:
-            raise InputError(error.message, key=error.key.replace("material", key, 1)) from None
+            name = error.key.removeprefix("material.")
+            if name in stage.values:
+                raise InputError(error.message, key=f"{key}.{name}") from None
+            raise InputError(f"{name} of the material beside it: {error.message}", key=key) from None
 
 
 def check_fields(scene: SceneLayout) -> None:
@@ -301,26 +313,6 @@ def check_thickness(scene: SceneLayout, field: Field, key: str) -> None:
         lattice[:, 1] = field.at(lattice)
         top, highest = float(filling(scene, mass).raised(lattice)[:, 1].max()), scene.domain.size[1]
         require(top <= highest, f"{key}.values", f"a layer below the top of the box at {highest:g} m", f"{top:g}")
-
-
-def unlikely_water(scene: SceneLayout) -> list[str]:
-    """A warning for each water elevation that lies above the box, or below all saturated masses."""
-    water, top = scene.water or Water(), scene.domain.size[1]
-    table = None if water.table is None else np.array(water.table, np.float64)
-    if table is not None and scene.dimension == 2:
-        table = table[:, 1]
-    feet = [mass.lower[1] for mass in scene.masses if scene.material_of(mass).saturated]
-    lines = []
-    for name, elevations in {"level": water.level, "table": table, "pool": water.pool}.items():
-        if elevations is None:
-            continue
-        above, below = float(np.min(elevations)) - top, min(feet) - float(np.max(elevations))
-        if above > 0.0:
-            full = "all the ground is below it" if name == "pool" else "all that is saturated is full"
-            lines.append(f"water.{name} lies {above:.3g} m above the top of the box: {full}")
-        elif below > TOLERANCE and name != "pool" and (water.pool is None or water.pool <= min(feet)):
-            lines.append(f"water.{name} lies {below:.3g} m below all that is saturated, which begins without pressure")
-    return lines
 
 
 def warn_if_unlikely(scene: SceneLayout) -> None:

@@ -133,7 +133,10 @@ class Material(Record):
         field_names = {member.name for member in dataclasses.fields(cls)}
         others = {key: value for key, value in data.items() if key not in field_names}
         constants = data.get("constants", {})
-        constants = {**constants, **others} if isinstance(constants, dict) else constants
+        if isinstance(constants, dict):
+            for key in others.keys() & constants.keys():
+                raise InputError("expected one value, another one stands in constants", key=f"material.{key}")
+            constants = {**constants, **others}
         return {"friction_deg": 0.0, **{key: data[key] for key in data if key in field_names}, "constants": constants}
 
     def __post_init__(self) -> None:
@@ -155,13 +158,13 @@ class Material(Record):
         loosest, span = (-self.friction_deg, "[-friction_deg") if self.saturated else (0.0, "[0")
         require(loosest <= self.dilation_deg <= self.friction_deg, "dilation_deg", f"an angle in {span}, friction_deg]")
         ends = self.dilation_deg == 0.0 or not self.saturated or self.softening_length is not None
-        require(ends, "dilation_deg", "0 of saturated material without a softening_length, over which dilation ends,")
+        require(ends, "dilation_deg", "0 of saturated material without a softening_length, over which dilation ends")
         strong = self.friction_deg > 0.0 or self.cohesion > 0.0 or self.law != MOHR_COULOMB
         require(strong, "friction_deg", "an angle above 0 degrees where there is no cohesion")
         for key, peak in zip(SOFTENING, (self.friction_deg, self.cohesion, self.cutoff_at(0.0)), strict=True):
             value = getattr(self, f"residual_{key}")
             if value is not None:
-                require(0.0 <= value <= peak, f"residual_{key}", f"a value in [0, {key}], at most {peak:g},")
+                require(0.0 <= value <= peak, f"residual_{key}", f"a value in [0, {key}], at most {peak:g}")
                 softens = self.softening_length is not None
                 require(softens, f"residual_{key}", "no residual value without a softening_length")
         if self.friction_limit_deg is not None:

@@ -13,9 +13,11 @@ that flows (`mpm.physics.water`), and shape by all strain, so that the coefficie
 and a given `consolidation`, c_v, is reproduced for any Q.
 """
 
+import numpy as np
+
 from datasets.errors import require
 from datasets.scene.material import Material
-from datasets.scene.parts import SceneLayout
+from datasets.scene.parts import TOLERANCE, SceneLayout, Water
 
 DENSITY = 1000.0  # of water [kg/m^3]
 CAVITATION = 1.0e5  # suction at which water cavitates [Pa]
@@ -84,3 +86,23 @@ def pore_numbers(scene: SceneLayout) -> tuple[float, float, float]:
         return 0.0, 0.0, 0.0
     modulus = STIFFER * constrained_modulus(material)
     return modulus, modulus * mobility(material, scene.gravity), modulus / material.density
+
+
+def unlikely_water(scene: SceneLayout) -> list[str]:
+    """A warning for each water elevation that lies above the box, or below all saturated masses."""
+    water, top = scene.water or Water(), scene.domain.size[1]
+    table = None if water.table is None else np.array(water.table, np.float64)
+    if table is not None and scene.dimension == 2:
+        table = table[:, 1]
+    feet = [mass.lower[1] for mass in scene.masses if scene.material_of(mass).saturated]
+    lines = []
+    for name, elevations in {"level": water.level, "table": table, "pool": water.pool}.items():
+        if elevations is None:
+            continue
+        above, below = float(np.min(elevations)) - top, min(feet) - float(np.max(elevations))
+        if above > 0.0:
+            full = "all the ground is below it" if name == "pool" else "all that is saturated is full"
+            lines.append(f"water.{name} lies {above:.3g} m above the top of the box: {full}")
+        elif below > TOLERANCE and name != "pool" and (water.pool is None or water.pool <= min(feet)):
+            lines.append(f"water.{name} lies {below:.3g} m below all that is saturated, which begins without pressure")
+    return lines

@@ -17,6 +17,7 @@ from torch import Tensor
 from datasets.errors import require
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory, brackets
+from datasets.forces import momentum
 from datasets.scene import Scene
 from mpm.output.recording import Recording
 
@@ -175,7 +176,7 @@ class SmoothObservation(Observation):
     """An observation whose smooth form is also exact: a run is observed like a rollout, with its own volumes."""
 
     def observe(self, trajectory: Trajectory) -> Values:
-        impulse, water = trajectory.solid_impulse, trajectory.pore_pressure
+        impulse, water = momentum(trajectory), trajectory.pore_pressure
         rollout = Rollout(
             positions=torch.from_numpy(np.asarray(trajectory.positions)),
             times=trajectory.time,

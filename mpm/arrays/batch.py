@@ -46,7 +46,7 @@ from mpm.arrays.properties import (
 from mpm.initial.barriers import held_tables
 from mpm.initial.slope import begins_as_slope
 from mpm.initial.water import initial_water
-from mpm.output.recording import ALL, Recording, window_frames
+from mpm.output.recording import ALL, PRESENT, Recording, window_frames
 from mpm.solids.bed import bed_arrays
 from mpm.solids.obstacles import initial_contacts, near_walls, obstacles_of
 
@@ -218,8 +218,7 @@ class Batch:
         """Set the initial state of one scene, and frame 0 of its record if that is kept."""
         scene, particles, features = self.scenes[index], self.particles[index], self.features
         state, count = self.state_of(index), len(particles.positions)
-        # Lanes without a particle of their own mirror the last one.
-        source = np.minimum(np.arange(state.shape[0] * features.lanes), count - 1)
+        source = np.minimum(np.arange(state.shape[0] * features.lanes), count - 1)  # spare lanes mirror the last one
 
         def put(first: int, values: Array) -> None:
             put_vectors(state, first, values[source])
@@ -228,8 +227,8 @@ class Batch:
         if features.compensated:
             put(features.state.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.state.velocity, particles.velocities * particles.present[:, None])
-        if features.volume_correction and not features.wet and not features.inflow:
-            put(features.state.gap, initial_gaps(scene, particles)[:, None])
+        if features.volume_correction:
+            put(features.state.gap, initial_gaps(scene, particles))
         for first in range(0, len(source) if features.contact else 0, PORTION):
             contacts = initial_contacts(scene, particles.positions[source[first : first + PORTION]])
             face, (first_face, end) = contacts[:, Contact.FACE], self.first_obstacles[index : index + 2, 1]
@@ -252,16 +251,13 @@ class Batch:
                 put(features.state.pore_pressure, pores[:, : 1 + features.wet])
                 place = features.state.seepage if features.seeps else features.state.pressure_slope
                 put(place, -slope if features.seeps else slope)
-            rounded = particles.positions.astype(state.dtype)
-            stress, shear = initial_tractions(scene, particles, rounded, water)
+            stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype), water)
             put(features.state.stress, stress)
             if features.contact:
                 put(features.state.contacts + Contact.NORMAL + features.dimension, shear)
             self.energies(index)[0, Energy.ELASTIC] = elastic_energy(particles, stress)
-        if features.heterogeneous or features.uneven:
-            # Of particles that differ in volume alone the first column (`Property.VOLUME`).
-            columns = features.columns if features.heterogeneous else 1
-            put(features.state.properties, properties_of(particles)[:, :columns])
+        if features.own_columns > 0:
+            put(features.state.properties, properties_of(particles)[:, : features.own_columns])
         if features.recorded.until_rest:
             put(features.state.before, particles.velocities * particles.present[:, None])
         real = np.arange(len(source)) < count
@@ -273,8 +269,9 @@ class Batch:
         self.order[first : first + len(source)] = source
         if self.recording.every > 0:
             self.store(index, 0)
-        mass = particles.density * particles.volume * particles.present
-        energies = self.energies(index)
+        all_mass = particles.density * particles.volume
+        mass, energies = all_mass * particles.present, self.energies(index)
+        energies[0, Energy.ABSENT] = 1.0 - mass.sum() / all_mass.sum()
         affine = 0.25 * scene.domain.cell**2 * np.einsum("nij,nij->n", *2 * [particles.velocity_gradients])
         energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * (np.sum(particles.velocities**2, axis=1) + affine))
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
@@ -375,6 +372,10 @@ class Batch:
         """`Energy` of one scene in all of its frames, kept or not, shape [frames, len(Energy)]; a view."""
         first = self.offsets[index, Offset.ENERGY]
         return self.energy[first : first + self.scenes[index].frames]
+
+    def present(self, index: int) -> NDArray[np.float64]:
+        """Share of the mass of one scene that is in its box, in all of its frames, at least PRESENT, shape [frames]."""
+        return np.maximum(1.0 - self.energies(index)[:, Energy.ABSENT], PRESENT)
 
     def impulses(self, index: int) -> NDArray[np.float64]:
         """Momentum that solids have taken up to each frame [N s, per metre of width in 2D], shape [frames, solids, D].

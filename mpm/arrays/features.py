@@ -126,6 +126,11 @@ class Features:
         return 1 + int(max(self.law.columns(self)))
 
     @property
+    def own_columns(self) -> int:
+        """Number of properties that each particle carries; if they differ in volume alone, that is the first one."""
+        return self.columns if self.heterogeneous else int(self.uneven)
+
+    @property
     def compensated(self) -> bool:
         """Positions are summed with compensation (Kahan 1965): in f32 slow particles far from the origin would rest."""
         return self.precision == "f32"
@@ -148,7 +153,7 @@ class Features:
             gap=int(self.volume_correction),  # mean stress that the opening would have caused [Pa]
             contacts=self.contact_vectors,
             present=1,  # 0 in lanes that mirror a scene's last particle, and for those that have left or not entered
-            properties=self.columns if self.heterogeneous else int(self.uneven),
+            properties=self.own_columns,
             remainder=size if self.compensated else 0,  # rounding error of the position [m]
             before=size if self.recorded.until_rest else 0,  # the velocity at the end of the frame before
             entry=(1 + size) * int(self.inflow),  # frames to wait, 0 after entry; velocity at entry

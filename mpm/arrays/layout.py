@@ -40,6 +40,7 @@ class Setting(IntEnum):
     SLOW_AFFINE = auto()  # C_s^2 of particles without stress (`mpm.physics.transfer`) [1/s^2]
     WAVE_SPEED = auto()  # the fastest of the scene's materials [m/s]
     RELAXATION_RATE = auto()  # of the velocity that the grid cannot represent [1/s]
+    MASS = auto()  # of all particles [kg, per metre of width in 2D]
     WEIGHT = auto()  # of all particles [N, per metre of width in 2D]
     REST_ENERGY = auto()  # kinetic energy that counts as none [J, per metre of width in 2D]
     WATER_MODULUS = auto()  # Q (`mpm.physics.water`) [Pa]
@@ -186,12 +187,13 @@ class StepControl(IntEnum):
 
 
 class Energy(IntEnum):
-    """Columns of `energy`, real, shape [all frames, len(Energy)]: energies [J, per metre of width in 2D], a force."""
+    """Columns of `energy`, real, shape [all frames, len(Energy)]: energies [J, per metre of width in 2D], shares."""
 
     KINETIC = 0
     POTENTIAL = auto()
     ELASTIC = auto()
     UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where runs end at rest; else 0
+    ABSENT = auto()  # share of the mass that has left the box or not entered it yet [-]
 
 
 class Pore(IntEnum):

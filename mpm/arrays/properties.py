@@ -22,7 +22,7 @@ from datasets.geometry.placement import heights_above_ground, remembers_gaps
 from datasets.scene import NO_SLIP, TOLERANCE, Scene, coefficient
 from datasets.scene.material import MOHR_COULOMB, Material
 from datasets.scene.particles import Particles
-from datasets.scene.water import pore_numbers, seepage
+from datasets.scene.water import pore_numbers, saturated, seepage
 from mpm.arrays.features import drags_of, features_of
 from mpm.arrays.layout import Property, Setting
 from mpm.laws import law_named
@@ -75,7 +75,8 @@ def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
 
 def settings_row(scene: Scene, particles: Particles) -> list[float]:
     """One line of `settings`, in the order of `Setting`."""
-    weight = float((particles.density * particles.volume).sum()) * scene.gravity
+    mass = float((particles.density * particles.volume).sum())
+    weight = mass * scene.gravity
     pores = pore_numbers(scene)
     values = {
         Setting.CELL: scene.domain.cell,
@@ -94,6 +95,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.SLOW_AFFINE: 2.0 * scene.gravity / scene.domain.cell,
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
+        Setting.MASS: mass,
         Setting.WEIGHT: weight,
         Setting.REST_ENERGY: REST_ENERGY * weight * scene_height(scene),
         Setting.SEEPAGE: seepage(scene),
@@ -171,14 +173,15 @@ def properties_at(material: Material, depth: Array, friction_deg: Array | None =
 
 
 def initial_gaps(scene: Scene, particles: Particles) -> Array:
-    """K e [Pa] of particles at the start, shape [N]. A body in flight starts with a tiny gap, which follows the grid:
+    """K e [Pa] of particles at the start, shape [N, 1]. A body in flight starts with a tiny gap, which follows the grid:
     without it, the nodes of a floor would carry the body up to a cell above the floor.
     """
-    if not remembers_gaps(scene):
-        return np.zeros(len(particles.positions))
-    values = properties_of(particles)
-    bulk = values[:, Property.LAME] + 2.0 / 3.0 * values[:, Property.SHEAR]
-    return np.where(heights_above_ground(scene)[particles.mass] > TOLERANCE, IN_FLIGHT * bulk, 0.0)
+    gaps = np.zeros((len(particles.positions), 1))
+    if remembers_gaps(scene) and particles.entry_time is None and not saturated(scene):
+        values = properties_of(particles)
+        bulk = values[:, Property.LAME] + 2.0 / 3.0 * values[:, Property.SHEAR]
+        gaps[:, 0] = np.where(heights_above_ground(scene)[particles.mass] > TOLERANCE, IN_FLIGHT * bulk, 0.0)
+    return gaps
 
 
 def elastic_energy(particles: Particles, stress: Array) -> float:

@@ -5,7 +5,8 @@ the particles' properties are rewritten. Stress beyond the new yield surface ret
 particles of a stage follow from their initial places alone, so that a run can be interrupted anywhere.
 
 Settled: over a window of frames (`mpm.output.recording.window_frames`), at least a period of the slowest oscillation
-and a flow time, the kinetic energy was below REST times its largest since the last stage, or below REST_ENERGY.
+and a flow time, the kinetic energy per mass in the box was below REST times its largest since the last stage, or below
+REST_ENERGY.
 """
 
 import dataclasses
@@ -98,6 +99,8 @@ def settled(batch: Batch, index: int) -> bool:
     """Whether nothing has moved in scene `index` over a window of frames, all of them after its last stage."""
     since = max(int(batch.staged[index].max()), int(batch.offsets[index, Offset.ENTERED]))
     window = window_frames(batch.scenes[index], batch.particles[index].materials)
-    kinetic = batch.energies(index)[since + 1 : batch.computed + 1, Energy.KINETIC]
+    kinetic = (batch.energies(index)[:, Energy.KINETIC] / batch.present(index))[since + 1 : batch.computed + 1]
+    if len(kinetic) < window:
+        return False
     most = max(REST * kinetic.max(), float(batch.settings[index, Setting.REST_ENERGY]))
-    return len(kinetic) >= window and bool(kinetic[-window:].max() <= most)
+    return bool(kinetic[-window:].max() <= most)

@@ -17,6 +17,7 @@ from datasets.scene.water import drainage
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Energy, Offset, Retained
 from mpm.initial.barriers import retained_masses
+from mpm.initial.stages import selected
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
@@ -149,10 +150,13 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     if left := outflow(batch, index) if scene.open_sides else {}:
         summary["outflow"] = left
     end_time, kinetic = summary["end_time"], energies[:, Energy.KINETIC]
-    summary["remarks"] = caveats(scene, particles, deposit, kinetic=kinetic, end_time=end_time, outflow=left)
+    over_time = {"kinetic": kinetic, "present": batch.present(index)}
+    summary["remarks"] = caveats(scene, particles, deposit, **over_time, end_time=end_time, outflow=left)
     if water := drainage(scene, end_time):
         summary["drainage"] = water
     if scene.stages:
+        nowhere = [f"stages[{k}]" for k, stage in enumerate(scene.stages) if not selected(stage, particles).any()]
+        summary["remarks"] += [f"{key} changes nothing: no particle began where it applies" for key in nowhere]
         begun = batch.staged[index, : len(scene.stages)]
         summary["stage_time"] = [frame * scene.frame_dt or None for frame in begun.tolist()]
         if not begun.all():
@@ -177,17 +181,27 @@ def still_moves(summary: Mapping[str, Any]) -> bool:
 
 
 def caveats(
-    scene: Scene, particles: Particles, deposit: Floats, *, kinetic: Floats, end_time: float, outflow: dict[str, float]
+    scene: Scene,
+    particles: Particles,
+    deposit: Floats,
+    *,
+    kinetic: Floats,
+    present: Floats,
+    end_time: float,
+    outflow: dict[str, float],
 ) -> list[str]:
     """Remarks on a flow of `particles`, one per line; none if all is well.
 
-    deposit: positions at the end [m], shape [N, D]; kinetic: energy of every frame [J], shape [T]; end_time: until when
-    the flow was computed [s]; outflow: mass that left through each open side [kg]. In 2D both are per metre of width.
+    deposit: positions at the end [m], shape [N, D]; kinetic: energy of every frame [J], present: share of the mass that
+    is in the box then [-], shape [T]; end_time: until when the flow was computed [s]; outflow: mass that left through
+    each open side [kg]. In 2D energy and mass are per metre of width.
     """
     lines = []
     mass, start = float(np.sum(particles.density * particles.volume)), particles.positions
-    speed = math.sqrt(2.0 * float(kinetic[-1]) / mass)
-    if kinetic[-1] > AT_REST * kinetic.max() and speed > SLOW * math.sqrt(scene.gravity * scene_height(scene)):
+    speed = math.sqrt(2.0 * float(kinetic[-1]) / (mass * float(present[-1])))
+    # Of as much mass as is there in the end: what has left took its energy along.
+    most = float((kinetic * (present[-1] / np.maximum(present, present[-1]))).max())
+    if kinetic[-1] > AT_REST * most and speed > SLOW * math.sqrt(scene.gravity * scene_height(scene)):
         moving = f"at t = {end_time:g} s, the end, it still moves at {speed:.2g} m/s (rms)"
         lines.append(f"{MOVING}: {moving}; front and deposit are not final")
     for number, side in enumerate(DOMAIN_SIDES[: 2 * scene.dimension]):

@@ -5,7 +5,7 @@ import taichi as ti
 from mpm.arrays.access import add, dot, lane_sum, maximum, over_lanes, vectors
 from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
 from mpm.arrays.properties import STABILITY
-from mpm.output.recording import BALANCED, REST
+from mpm.output.recording import BALANCED, PRESENT, REST
 from mpm.physics.barriers import free_since, measure_retained, open_barriers
 from mpm.physics.inflow import next_speeds, wait_frame
 from mpm.physics.transfer import particles_in, property_of
@@ -90,7 +90,8 @@ def record_block(scene, frame, block, arrays: ti.template()):
 
     Kinetic energy includes the affine motion around the particles, m C : C dx^2 / 8, which APIC also carries; elastic
     energy is V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E). If the scene may end at rest, also the unbalanced
-    force over the weight, sum m |v - v of the frame before| / (dt_frame M g).
+    force over the weight, sum m |v - v of the frame before| / (dt_frame M g); if particles may leave or enter the box,
+    also the share of M that is not in it.
     """
     features = arrays.features
     volume, dx = property_of(scene, block, Property.VOLUME, arrays), arrays.settings[scene, Setting.CELL]
@@ -117,6 +118,9 @@ def record_block(scene, frame, block, arrays: ti.template()):
     sums[Energy.POTENTIAL] = lane_sum(0.0 - mass * height, arrays)
     elastic = volume * present * (deviator * ss - spherical * trace * trace)
     sums[Energy.ELASTIC] = lane_sum(elastic, arrays)
+    if ti.static(features.outflow):
+        absent = volume * property_of(scene, block, Property.DENSITY, arrays) * (1.0 - present)
+        sums[Energy.ABSENT] = particle_sum(absent, scene, block, arrays) / arrays.settings[scene, Setting.MASS]
     if ti.static(features.recorded.until_rest):
         change = 0.0 * mass
         for k in ti.static(range(features.dimension)):
@@ -134,6 +138,19 @@ def record_block(scene, frame, block, arrays: ti.template()):
             for k in ti.static(range(features.dimension)):
                 arrays.positions[particle * features.dimension + k] = arrays.lanes[(first + k) * features.lanes + lane]
     return sums
+
+
+@ti.func
+def particle_sum(a, scene, block, arrays: ti.template()):
+    """Sum over the lanes of a block that hold a particle, in double precision."""
+    if ti.static(arrays.features.lanes == 1):
+        return ti.cast(a, ti.f64)
+    else:
+        count, value = particles_in(scene, block, arrays), ti.cast(0.0, ti.f64)
+        for lane in ti.static(range(arrays.features.lanes)):
+            if lane < count:
+                value += ti.cast(a[lane], ti.f64)
+        return value
 
 
 @ti.func
@@ -165,10 +182,13 @@ def detect_rest(scene, frame, arrays: ti.template()):
         most, unbalanced = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
         for earlier in range(since, frame + 1):
             at = (line + earlier) * ti.static(len(Energy))
-            kinetic = arrays.energy[at + Energy.KINETIC]
+            kinetic, force = arrays.energy[at + Energy.KINETIC], arrays.energy[at + Energy.UNBALANCED]
+            if ti.static(arrays.features.outflow):
+                share = ti.max(1.0 - arrays.energy[at + Energy.ABSENT], PRESENT)
+                kinetic, force = kinetic / share, force / share
             peak = ti.max(peak, kinetic)
             if earlier > frame - window:
                 most = ti.max(most, kinetic)
-                unbalanced += arrays.energy[at + Energy.UNBALANCED]
+                unbalanced += force
         if most < REST * peak and unbalanced < BALANCED * window:
             arrays.offsets[scene, Offset.REST] = frame

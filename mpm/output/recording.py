@@ -2,17 +2,18 @@
 
 **Rest.** A deposit has come to rest when it neither moves nor accelerates over a whole window of time.
 
-In every frame of the window the kinetic energy is below a thousandth of the largest so far
+In every frame of the window the kinetic energy, per mass in the box, is below a thousandth of the largest so far
 (`REST`), and the mean over the window of the unbalanced force
 
     R = sum_p m_p |a_p| / (M g),   a_p = (v_p(t) - v_p(t - dt_frame)) / dt_frame
 
-is below a hundredth (`BALANCED`): Cundall's average ratio of unbalanced to applied forces, as the manuals of Itasca's
-PFC call it (there over contact forces, here over the weight). Either criterion alone fails: sand thrown up has no
-kinetic energy at the top of its path, but R = 1; an oscillating bed has no energy at full compression and, at another
-moment, no acceleration. So the window spans both a period of the slowest oscillation of a layer as thick as the initial
-material, 4 H / c_s with the shear-wave speed c_s, and a flow time, sqrt(H / g), in which airborne sand would fall by H
-/ 2. A mass released in equilibrium never moves: kinetic energy below REST_ENERGY of M g H counts as none.
+of the mass M that is in the box is below a hundredth (`BALANCED`): Cundall's average ratio of unbalanced to applied
+forces, as the manuals of Itasca's PFC call it (there over contact forces, here over the weight). Either criterion alone
+fails: sand thrown up has no kinetic energy at the top of its path, but R = 1; an oscillating bed has no energy at full
+compression and, at another moment, no acceleration. So the window spans both a period of the slowest oscillation of a
+layer as thick as the initial material, 4 H / c_s with the shear-wave speed c_s, and a flow time, sqrt(H / g), in which
+airborne sand would fall by H / 2. A mass released in equilibrium never moves: kinetic energy below REST_ENERGY of
+M g H counts as none.
 """
 
 import math
@@ -33,6 +34,9 @@ MIN_FRAMES = 3
 """Least number of frames in the window, if frames are far apart."""
 REST_ENERGY = 5.0e-7
 """Kinetic energy that counts as none, over M g H [-]: an rms speed of a thousandth of sqrt(g H)."""
+
+PRESENT = 1.0e-6
+"""Share of the mass, at least, by which the energy and the force of what is in an open box are divided."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 
 from datasets import Baffle, Trajectory
 from datasets.command_line import run
-from datasets.forces import command, forces_of
+from datasets.forces import command, forces_of, momentum
 from tests.refusals import refused, refused_by
 
 TIME = np.array([0.0, 0.01, 0.02, 0.05, 0.06, 0.10])
@@ -59,6 +59,22 @@ def test_frames_after_rest_are_none(flow: Trajectory) -> None:
     np.testing.assert_allclose(forces.time, [0.01, 0.02, 0.04])
     np.testing.assert_allclose(forces.impulse[:2], impulse[-1], atol=1e-12)
     np.testing.assert_allclose(forces.force[:, 2], np.tile([3.0, -5.0], (3, 1)))
+
+
+def test_after_rest_the_last_force_goes_on(flow: Trajectory) -> None:
+    """The momentum that it gives, whose change is that force; recorded is that of the end."""
+    impulse = flow.solid_impulse.copy()
+    impulse[3:] = impulse[3]
+    rested = dataclasses.replace(flow, solid_impulse=impulse, summary={"end_time": 0.04})
+    force = (impulse[3] - impulse[2]) / 0.02
+    taken = momentum(rested)
+    np.testing.assert_array_equal(taken[:3], impulse[:3])
+    np.testing.assert_allclose(taken[3:], impulse[3] + np.array([0.01, 0.02, 0.06])[:, None, None] * force, rtol=1e-12)
+    np.testing.assert_allclose(force, forces_of(rested).force[-1], rtol=1e-12)
+    # Of the last frame alone it is the mean since the start; of a flow that does not rest it is what was recorded.
+    last = {"positions": flow.positions[-1:], "time": TIME[-1:], "solid_impulse": impulse[-1:]}
+    np.testing.assert_allclose(momentum(dataclasses.replace(rested, **last)), 2.5 * impulse[-1:], rtol=1e-12)
+    np.testing.assert_array_equal(momentum(flow), flow.solid_impulse)
 
 
 def test_what_cannot_be(flow: Trajectory) -> None:

@@ -13,7 +13,7 @@ from mpm.output.outcome import caveats
 from mpm.output.recording import window_frames
 from mpm.output.smoothing import smoothed, weights
 from tests.refusals import refused
-from tests.scenes import SAND, box
+from tests.scenes import SAND, box, scene_of
 
 REST = Recording(frames=3, fields=True, until_rest=True)
 WALLED = Baffle(lower=(0.3, 0.0), size=(0.1, 0.1))
@@ -99,12 +99,38 @@ def test_a_settled_deposit_is_at_rest_and_repeats_its_last_frame() -> None:
 COLUMN = read_scene("column-short-21")
 
 
-def said(scene: Scene = COLUMN, *, x: float = 0.0, energy: float = 0.0, outflow: dict[str, float] | None = None) -> str:
-    """Remarks on the column moved by `x` [m], whose kinetic energy ends at `energy` [J/m]."""
+def said(
+    scene: Scene = COLUMN,
+    *,
+    x: float = 0.0,
+    energy: float = 0.0,
+    present: float = 1.0,
+    outflow: dict[str, float] | None = None,
+) -> str:
+    """Remarks on the column moved by `x` [m], whose kinetic energy ends at `energy` [J/m], that of a share of it."""
     particles = initial_particles(scene)
     deposit = particles.positions + np.array([x] + [0.0] * (scene.dimension - 1))
     kinetic = np.array([0.0, 10.0, energy])
-    return "\n".join(caveats(scene, particles, deposit, kinetic=kinetic, end_time=1.0, outflow=outflow or {}))
+    over_time = {"kinetic": kinetic, "present": np.array([1.0, 1.0, present])}
+    return "\n".join(caveats(scene, particles, deposit, **over_time, end_time=1.0, outflow=outflow or {}))
+
+
+def test_what_has_left_says_nothing_of_the_speed_of_what_has_not() -> None:
+    """A thousandth of the column at 2 m/s, after all of it was faster."""
+    points = initial_particles(COLUMN)
+    left = 1.0e-3 * float(np.sum(points.density * points.volume))
+    assert "it still moves at 2 m/s" in said(energy=0.5 * left * 2.0**2, present=1.0e-3)
+    assert said(present=1.0e-6) == ""
+
+
+def test_what_speeds_up_is_not_at_rest_after_most_has_left() -> None:
+    """Its force was divided by the weight of all, its energy compared with that of what had left."""
+    fast, slow = Mass(lower=(1.5, 0.0), size=(0.5, 0.4), velocity=(6.0, 0.0)), Mass(lower=(0.1, 0.0), size=(0.1, 0.04))
+    opened = {"size": (2.0, 0.6), "cell": 0.02, "open_sides": ("x+",), "floor_friction": 0.0, "slope_deg": 3.0}
+    flow = simulate(scene_of(fast, slow, **opened, duration=0.5), record=Recording(frames="last", until_rest=True))
+    assert flow.summary["outflow"]["x+"] == pytest.approx(0.98 * flow.volumes.sum() * SAND.density, rel=0.01)
+    assert flow.summary["rest_time"] is None
+    assert flow.summary["remarks"][0].startswith("not at rest: at t = 0.5 s")
 
 
 def test_what_is_said_of_motion_walls_open_sides_and_thin_bodies() -> None:

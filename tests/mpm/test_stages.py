@@ -12,7 +12,9 @@ from datasets.scene.grid_field import Field
 from datasets.scene.particles import initial_particles
 from mpm import AT_REST, LAST, WITH_FIELDS, Recording, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
-from mpm.initial.stages import particles_after
+from mpm.arrays.batch import Batch
+from mpm.arrays.layout import Energy, Offset
+from mpm.initial.stages import particles_after, settled
 from mpm.output.checkpoint import Checkpoint
 from mpm.simulation import Options
 from tests.mpm.test_run import broken_off
@@ -51,9 +53,28 @@ def test_until_settled_and_at_rest_after_the_last_stage() -> None:
     assert 0.1 < second < 0.5
     assert width[-1] > width[0] + 0.1
     # What never settles is remarked.
-    flow = simulate(staged(Stage(time="settled", **LOST), duration=0.05), threads=1)
-    assert flow.summary["stage_time"] == [None]
-    assert any(line.startswith("stages[0] did not begin: by t = 0.05 s") for line in flow.summary["remarks"])
+    nowhere = Stage(time=0.02, lower=(0.8, 0.0), size=(0.1, 0.1), friction_deg=19.0)
+    flow = simulate(staged(nowhere, Stage(time="settled", **LOST), duration=0.05), threads=1)
+    assert flow.summary["stage_time"] == [0.02, None]
+    assert any(line.startswith("stages[1] did not begin: by t = 0.05 s") for line in flow.summary["remarks"])
+    # And what is for no particle.
+    assert "stages[0] changes nothing: no particle began where it applies" in flow.summary["remarks"]
+
+
+def test_settled_is_what_is_in_the_box_once_all_has_entered() -> None:
+    """One frame after the last particle there is no series yet; a share of the mass moves by its own energy."""
+    enters = Mass(kind="inflow", section=((0.2,),), hydrograph=((0.0, 0.1, 1.0), (0.1, 0.1, 1.0)))
+    batch = Batch([box(enters, duration=1.0, stages=(Stage(time="settled", friction_deg=20.0),))], precision="f32")
+    entered = int(batch.offsets[0, Offset.ENTERED])
+    for batch.computed in (1, entered):
+        assert not settled(batch, 0)
+    batch.computed = len(batch.energy) - 1
+    energies = batch.energies(0)
+    energies[:] = 0.0
+    energies[entered + 1 :, Energy.KINETIC] = [1.0, *np.full(len(energies) - entered - 2, 5.0e-4)]
+    assert settled(batch, 0)
+    energies[entered + 2 :, Energy.ABSENT] = 0.99
+    assert not settled(batch, 0)
 
 
 def test_the_material_is_that_of_the_stage_alone() -> None:
@@ -124,6 +145,14 @@ def test_side_by_side_on_one_thread_and_on_a_gpu() -> None:
         ({"time": "soon"}, "time: expected a time in s or 'settled', got 'soon'"),
         ({"mass": 1}, "stages[0].mass: expected one of 0 to 0, got 1"),
         ({"lower": (0.0, 0.0)}, "stages[0].size: expected lower and size together, lower is given, got none"),
+        (
+            {"lower": (20.0, 0.0), "size": (1.0, 1.0)},
+            "stages[0].lower: expected a region inside the domain [1.0, 1.0], in part at least, got [20.0, 0.0]",
+        ),
+        (
+            {"outline": ((2.0,), (3.0,))},
+            "stages[0].outline: expected a region inside the domain [1.0, 1.0], in part at least, got [(2.0,), (3.0,)]",
+        ),
         ({"outline": ((0.1,),)}, "stages[0].outline: expected at least 2 rows of 1 numbers, got 1"),
         ({"cohesion": None}, "stages[0]: expected a constant of the material that changes, got none"),
         ({"dilation_deg": 50.0}, "stages[0].dilation_deg: expected an angle in [0, friction_deg], got 50"),
@@ -131,6 +160,13 @@ def test_side_by_side_on_one_thread_and_on_a_gpu() -> None:
 )
 def test_a_stage_that_is_none_is_refused_with_its_key(stage: dict[str, Any], said: str) -> None:
     assert str(refused(lambda: staged(Stage(**{"time": 0.2, "cohesion": 1.0} | stage)))) == said
+
+
+def test_a_constant_of_the_material_beside_a_stage_is_no_key_of_it() -> None:
+    soft = dataclasses.replace(CLAY, softening_length=0.1, residual_friction_deg=15.0)
+    mistake = refused(lambda: staged(Stage(time=0.2, friction_deg=10.0), material=soft))
+    said = "residual_friction_deg of the material beside it: expected a value in [0, friction_deg], at most 10, got 15"
+    assert str(mistake) == f"stages[0]: {said}"
 
 
 def test_times_ascend_and_the_adjoint_says_no() -> None:

@@ -3,12 +3,14 @@
 import dataclasses
 from functools import reduce
 from operator import add
+from typing import Any
 
 import numpy as np
 import pytest
 
 from datasets import InputError, Mass, Material, Scene, Solid
-from datasets.definitions.training import MOVING_SPEED, MotionStatistics, motion_statistics, thin
+from datasets.definitions.definition import Entry, Split
+from datasets.definitions.training import MOVING_SPEED, MotionStatistics, metadata, motion_statistics, thin
 from datasets.scene.particles import initial_particles, observed_cohesion
 from tests.scenes import scene_of
 
@@ -47,6 +49,26 @@ def test_strength_that_grows_with_depth_is_that_of_the_particles() -> None:
     for chosen, mass in ((slice(None), None), (part, particles.mass[part])):
         cohesion = observed_cohesion(scene, stored[chosen], mass)
         np.testing.assert_allclose(cohesion, particles.cohesion[chosen], rtol=1e-5)
+
+
+def test_metadata_has_the_materials_of_all_masses_number_by_number(scene: Scene) -> None:
+    """Constants of another law key by key; what no mass is made of is no part of it."""
+    bars = [Material(law="von-mises", friction_deg=0.0, constants={"strength": strength}) for strength in (9.0, 5.0)]
+    dense = dataclasses.replace(scene.material, friction_deg=40.0, density=2000.0)
+    others = [(dataclasses.replace(scene.masses[0], material=material),) for material in (*bars, dense)]
+    scenes = [dataclasses.replace(scene, masses=masses) for masses in others]
+
+    def described(*members: Scene) -> dict[str, Any]:
+        entries = [Entry(name=str(k), split=Split.TRAIN, scene=member) for k, member in enumerate(members)]
+        statistics = MotionStatistics.from_samples(np.zeros((1, 2)), np.zeros((1, 2)))
+        content = metadata("toy", entries, seed=0, statistics=statistics)
+        return {**content["material"], "friction_deg": content["friction_deg"]}
+
+    both = described(*scenes[:2])
+    assert (both["law"], both["constants"], both["friction_deg"]) == ("von-mises", {"strength": [5.0, 9.0]}, [0.0, 0.0])
+    mixed = described(scene, scenes[2])
+    assert mixed["friction_deg"] == [scene.material.friction_deg, 40.0]
+    assert mixed["density"] == [scene.material.density, 2000.0]
 
 
 def test_moments_of_parts_are_those_of_the_whole() -> None:

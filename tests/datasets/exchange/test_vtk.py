@@ -114,6 +114,21 @@ def test_solids_are_a_surface_of_their_own(tmp_path: Path, flow: Trajectory) -> 
         np.testing.assert_array_equal(np.unique(solids["impulse"][faces], axis=0)[0], flow.solid_impulse[2, number])
 
 
+def test_a_deposit_at_rest_leans_on_a_solid(tmp_path: Path, flow: Trajectory) -> None:
+    """Frames after the end repeat it: the force is the last one, also across the end, and never 0."""
+    impulse = np.minimum(flow.time, 0.025)[:, None, None] * [[3.0, 0.0, 1.0], [6.0, 0.0, 2.0]]
+    write_vtk(dataclasses.replace(flow, solid_impulse=impulse, summary={"end_time": 0.025}), tmp_path, every=2)
+    for time, (_, solids, _) in read(tmp_path).items():
+        near = solids["force"][solids["solid"] == 0]
+        np.testing.assert_allclose(near, np.tile([3.0, 0.0, 1.0] if time else [0.0] * 3, (len(near), 1)), rtol=1e-9)
+    # Of a last frame alone it is the mean since the start.
+    last = dataclasses.replace(flow, positions=flow.positions[-1:], time=flow.time[-1:], pressure=None)
+    last = dataclasses.replace(last, plastic_strain=None, solid_impulse=flow.solid_impulse[-1:])
+    write_vtk(last, tmp_path)
+    ((_, solids, _),) = read(tmp_path).values()
+    np.testing.assert_allclose(solids["force"][0], [0.12, 0.0, 0.04])
+
+
 def test_a_shorter_series_replaces_a_longer_one(tmp_path: Path, flow: Trajectory) -> None:
     write_vtk(flow, tmp_path)
     (tmp_path / "particles-of-interest.txt").write_text("mine")

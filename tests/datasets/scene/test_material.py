@@ -10,7 +10,9 @@ import pytest
 
 from datasets import Mass, Material, Scene, Solid, read_scene, write_scene
 from datasets.scene.material import TENSION_SHARE, USUAL_YOUNG
+from datasets.scene.parts import SceneLayout
 from datasets.scene.stiffness import greatest_speed
+from datasets.schema import from_mapping
 from tests.refusals import refused
 from tests.scenes import SAND, box, scene_of
 
@@ -56,6 +58,7 @@ def test_the_residual_material() -> None:
     assert Material(friction_deg=40.0, softening_length=0.1).residual.friction_deg == 40.0
 
 
+SCENE = {"domain": {"size": [1.0, 1.0], "cell": 0.1}, "material": {"friction_deg": 30.0}, "masses": [], "duration": 1.0}
 CUT_OFF = {"residual_tension_cutoff": 3.1, "softening_length": 1.0}
 
 
@@ -69,7 +72,7 @@ CUT_OFF = {"residual_tension_cutoff": 3.1, "softening_length": 1.0}
         ("friction_deg", {"angle": "slope", "friction_deg": 45.0}),
         ("residual_friction_deg", {"residual_friction_deg": 31.0, "softening_length": 1.0}),
         ("residual_friction_deg", {"residual_friction_deg": 0.0, "residual_cohesion": 0.0, "softening_length": 1.0}),
-        ("residual_tension_cutoff: expected a value in [0, tension_cutoff], at most 3", CUT_OFF),
+        ("residual_tension_cutoff: expected a value in [0, tension_cutoff], at most 3, got 3.1", CUT_OFF),
         ("residual_cohesion", {"residual_cohesion": 10.0}),
         ("friction_limit_deg", {"friction_limit_deg": 29.0, "grain_diameter": 1e-3}),
         ("friction_limit_deg", {"friction_limit_deg": 45.0, "grain_diameter": 1e-3, "angle": "slope"}),
@@ -80,6 +83,14 @@ CUT_OFF = {"residual_tension_cutoff": 3.1, "softening_length": 1.0}
 )
 def test_what_cannot_be_is_named(key: str, wrong: dict[str, Any]) -> None:
     refused(Material, **{"friction_deg": 30.0, "cohesion": 1000.0, **wrong}, said=f"material.{key}")
+
+
+def test_a_constant_of_another_law_stands_once() -> None:
+    table = {"law": "von-mises", "strength": 200.0, "constants": {"strength": 100.0}}
+    said = "material.strength: expected one value, another one stands in constants"
+    refused(from_mapping, SceneLayout, {**SCENE, "material": table}, said=said)
+    own = {**SCENE, "masses": [{"material": table}]}
+    refused(from_mapping, SceneLayout, own, said=f"masses[0].{said}")
 
 
 def test_a_slopes_angle_is_daviss() -> None:

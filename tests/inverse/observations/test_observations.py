@@ -344,6 +344,18 @@ def test_what_moves_is_differentiable_in_the_speed() -> None:
         assert float(derivative) == pytest.approx(slope, rel=1e-4)
 
 
+def test_a_run_that_ended_at_rest_goes_on_leaning_on_the_solid() -> None:
+    """As one that was computed to its end does: by its impulse later, and by the peak over a long window."""
+    run = flow(BAFFLED)
+    whole, ended = (
+        dataclasses.replace(run, solid_impulse=time[:, None, None] * [[3.0, 0.0]], summary={"end_time": time[-1]})
+        for time in (run.time, np.minimum(run.time, 0.4))
+    )
+    for settings in (ImpulseSettings(times=(0.2, 0.9)), ImpulseSettings(), PeakForceSettings(window=0.8)):
+        operator = settings.operator(run.scene)
+        np.testing.assert_allclose(operator.observe(ended), operator.observe(whole), rtol=1e-9)
+
+
 def test_the_peak_force_is_the_largest_mean_over_its_window() -> None:
     """J = 2 t^2 kg m/s and, from 0.5 s on, less by 3 N: the last window before 0.5 s, or any after it, either way."""
     run = flow(BAFFLED, 101)
