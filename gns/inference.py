@@ -44,7 +44,8 @@ def simulate(
 
     scene: a scene, the path of one in TOML, or the name of a shipped one; model: a simulator, or a network of one's own
     (`gns.simulator.StepModel`), its file, or the name of a shipped one, that of the scene's dimension where absent;
-    start: a run of the scene by the MPM, from whose last frame the rollout goes on, where absent it begins at time 0;
+    start: a run of the scene by the MPM, which the rollout continues from the last whole step of the model on, at least
+    one; where absent it begins at time 0;
     threads: of torch; device: where the model runs; progress: show a bar.
 
     Returns the trajectory at the model's step, the frames of `start` included; its summary has what
@@ -120,7 +121,7 @@ def predict(
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
     model = shipped(scene) if model is None else model
     path = model_path(model) if isinstance(model, str | Path) else None
-    require(level in card.LEVELS, "level", f"one of {', '.join(map(str, card.LEVELS))}", f"{level:g}")
+    require(level in card.LEVELS, "level", f"one of {', '.join(map(str, card.LEVELS))}", repr(level))
     described, key = None if path is None else card.read(path), f"{level:g}"
     if calibration is None and described is not None:
         calibration = described.calibration(scene, key)
