@@ -57,7 +57,7 @@ class InitialState(Tensors):
 
 def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | None = None) -> InitialState:
     """The initial state of `scene` for a model of these settings; which particles stay is always the same choice.
-    frames: a run of the scene by the MPM, whose last frame is where the rollout begins; without it that is time 0.
+    frames: a run of the scene by the MPM, the last whole step of which is where the rollout begins; else at time 0.
     Raises InputError for a scene that no such model represents (`check`), and for frames that do not fit."""
     check(scene, settings)
     units = Units.of_model(scene, settings)
@@ -68,6 +68,8 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
         if frames.positions.shape[1] != observed.shape[1]:
             message = f"expected the {observed.shape[1]} particles of the scene, got {frames.positions.shape[1]}"
             raise InputError(message, where="start", key="positions")
+        span, least = float(np.ptp(frames.time)), f"frames over at least one step of the model, {step:.4g} s"
+        require(span >= (1.0 - 1.0e-6) * step, "time", least, f"{span:.4g} s", where="start")
         observed, velocity0 = resampled(frames, step), frames.velocity0
     cell, some = units.length * settings.cell, settings.particles_per_cell
     steps, count = scene.duration / step, some * released_volume(scene) / cell**scene.dimension
