@@ -44,8 +44,8 @@ def simulate(
 
     scene: a scene, the path of one in TOML, or the name of a shipped one; model: a simulator, your own network
     (`gns.simulator.StepModel`), a model's file or a shipped name; by default the shipped model for the scene; start: an
-    MPM run of the scene, from whose last frame the rollout continues; by default it begins at time 0; threads: of
-    torch; device: where the model runs; progress: show a progress bar.
+    MPM run of the scene, which the rollout continues from the last whole step of the model on, at least one; by default
+    it begins at time 0; threads: of torch; device: where the model runs; progress: show a progress bar.
 
     Returns the trajectory at the model's step, the frames of `start` included; its summary has what
     `python -m gns.rollout` writes. Raises InputError, and WorkFailed if positions are not finite.
@@ -120,7 +120,7 @@ def predict(
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
     model = shipped(scene) if model is None else model
     path = model_path(model) if isinstance(model, str | Path) else None
-    require(level in card.LEVELS, "level", f"one of {', '.join(map(str, card.LEVELS))}", f"{level:g}")
+    require(level in card.LEVELS, "level", f"one of {', '.join(map(str, card.LEVELS))}", repr(level))
     described, key = None if path is None else card.read(path), f"{level:g}"
     if calibration is None and described is not None:
         calibration = described.calibration(scene, key)

@@ -17,6 +17,8 @@ from datasets.geometry.bodies import height
 from datasets.geometry.ground import ground_raster
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
 from datasets.scene import Scene, coefficient
+from datasets.scene.grid_field import THICKNESS
+from datasets.scene.particles import initial_particles
 from gns.settings import ModelSettings
 from gns.surroundings.units import Units
 
@@ -61,9 +63,9 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
     high = [max(mass.lower[axis] + mass.size[axis] for mass in masses) for axis in range(scene.dimension)]
     extents = [last - first for first, last in zip(low, high, strict=True)]
     rooms = [whole - extent for whole, extent in zip(scene.domain.size, extents, strict=True)]
-    velocities = [mass.velocity for mass in masses]
+    frictions, velocities, upwards = sands(scene)
     chosen, by_itself = scene.volume_correction, replace(scene, volume_correction=None)
-    elevation, roughness, steepness = terrain(scene, GROUND_SPACING * body.length)
+    elevation, roughness, steepness, floor = terrain(scene, GROUND_SPACING * body.length)
     turbulences = [float(np.min(solid.turbulence)) for solid in scene.solids if solid.turbulence]
 
     def ranged(values: Iterable[float | None], unit: str = "", *, over: float = 1.0, **bounds: Any) -> RangedQuantity:
@@ -72,7 +74,7 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
     angles, stresses = partial(ranged, unit="deg"), partial(ranged, unit="rho g l", over=body.stress)
     lengths, speeds = partial(ranged, unit="l", over=body.length), partial(ranged, unit="sqrt(g l)", over=body.speed)
     return {
-        "friction_deg": angles((material.phi_deg for material in sand), scale=logarithm_of_tangent),
+        "friction_deg": angles(frictions, scale=logarithm_of_tangent),
         "friction_limit_deg": angles(material.friction_limit_deg for material in sand),
         "cohesion": stresses(material.cohesion_at(z) for mass, material in layers for z in (0.0, height(scene, mass))),
         "tension_cutoff": ranged(
@@ -92,7 +94,7 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
         # Only if the scene differs from its default.
         "volume_correction": ranged([None if chosen == remembers_gaps(by_itself) else chosen]),
         "relaxation_time": ranged([scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)], "sqrt(cell / g)"),
-        "floor_friction": ranged([coefficient(scene.floor_friction)]),
+        "floor_friction": ranged(floor),
         "wall_friction": ranged([coefficient(scene.wall_friction)]),
         "baffle_friction": ranged(coefficient(scene.friction_of(baffle)) for baffle in baffles),
         "channel": lengths([scene.channel.width if scene.channel else None]),
@@ -111,8 +113,8 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
         "drop": lengths([float(heights_above_ground(scene).max())], below=False),
         "room_along": lengths(rooms[:1], above=False),
         "room_across": lengths(rooms[2:], above=False),
-        "speed": speeds(math.hypot(*velocity) if velocity else 0.0 for velocity in velocities),
-        "upward_speed": speeds(velocity[1] for velocity in velocities if velocity),
+        "speed": speeds(velocities),
+        "upward_speed": speeds(upwards),
         "spin": ranged((float(abs(mass.spin).max()) * body.time for mass in masses), "sqrt(g / l)"),
         "baffles": ranged([len(baffles)]),
         "baffle_length": lengths(baffle.size[0] for baffle in baffles),
@@ -129,14 +131,32 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
     }
 
 
-def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], list[float]]:
-    """Relief [m], friction, steepest angle along an axis [deg] of the terrain, if any; spacing: of its raster [m]."""
+def sands(scene: Scene) -> tuple[list[float], list[float], list[float]]:
+    """Angles of friction [deg], speeds and upward velocities [m/s] of the masses; where fields vary any of these, the
+    extremes of the particles."""
+    if all(field.quantity == THICKNESS for field in scene.fields):
+        thrown = [mass.velocity for mass in scene.masses if mass.velocity]
+        angles = [scene.material_of(mass).phi_deg for mass in scene.masses]
+        return angles, [math.hypot(*(mass.velocity or ())) for mass in scene.masses], [vector[1] for vector in thrown]
+    particles = initial_particles(scene)
+    of_particles = np.degrees(np.arctan(particles.friction)), np.linalg.norm(particles.velocities, axis=1)
+    angles, velocities, upwards = (
+        [float(values.min()), float(values.max())] for values in (*of_particles, particles.velocities[:, 1])
+    )
+    return angles, velocities, upwards
+
+
+def terrain(scene: Scene, spacing: float) -> tuple[list[float], ...]:
+    """Relief [m], friction, steepest angle along an axis [deg] of the terrain, if any; friction of the floor, unless
+    terrain covers all of it; spacing: of its raster [m]."""
+    floor = [coefficient(scene.floor_friction)]
     if not scene.solids:
-        return [], [], []
-    elevation, friction, _ = ground_raster(scene, spacing)
+        return [], [], [], floor
+    elevation, friction, top = ground_raster(scene, spacing)
     rise = max(float(np.abs(np.diff(elevation, axis=axis)).max()) for axis in range(elevation.ndim))
     steepest = math.degrees(math.atan(rise / spacing))
-    return [float(np.ptp(elevation))], [float(friction.min()), float(friction.max())], [steepest]
+    frictions = [float(friction.min()), float(friction.max())]
+    return [float(np.ptp(elevation))], frictions, [steepest], floor if (top < 0).any() else []
 
 
 def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Range]:

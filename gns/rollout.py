@@ -5,6 +5,8 @@ import sys
 from pathlib import Path
 from typing import Literal
 
+from cyclopts.types import PositiveInt
+
 from datasets import command_line, files
 from datasets.errors import InputError, naming, require
 from datasets.exchange.vtk import write_vtk
@@ -21,7 +23,7 @@ def rollout(
     out: Path,
     model: Path | None = None,
     start: Path | None = None,
-    threads: int = 1,
+    threads: PositiveInt = 1,
     device: Literal["cpu", "cuda"] = "cpu",
     vtk: bool = False,
 ) -> None:
@@ -31,7 +33,8 @@ def rollout(
         scene: Path of a scene in TOML, or the name of a shipped one.
         out: Folder for the results.
         model: The model's file or the name of a shipped one; unless given, the shipped one for the scene's dimension.
-        start: MPM trajectory; the rollout continues from its last frame instead of starting at the release.
+        start: MPM trajectory; the rollout continues from its last whole step of the model instead of starting at the
+            release.
         threads: Number of torch threads.
         device: Device that the model runs on.
         vtk: Also write a series for ParaView to OUT/vtk.
@@ -67,6 +70,9 @@ def rollout(
     files.write_json(out / "summary.json", summary)
     if vtk:
         write_vtk(trajectory, out / "vtk", progress=True)
+    if frames is not None:
+        begins = f"the rollout begins at {trajectory.time[-1 - summary['steps']]:.4g} s of the {frames.time[-1]:.4g} s"
+        print(f"{begins} of {start}, after whole steps of the model of {trajectory.scene.frame_dt:.3g} s")
     figures = f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m, {summary['wall_s']:.1f} s"
     print(f"{figures}, written to {out}")
 

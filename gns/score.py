@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from cyclopts.types import PositiveInt
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
@@ -47,7 +48,7 @@ def evaluate(simulator: "StepModel", flows: "Sequence[Flow]") -> list[Score]:
     # Imported here, so that --help need not load torch, which takes seconds.
     import torch
 
-    from gns.simulator import Simulator, checked, unroll
+    from gns.simulator import Simulator, checked, placed, unroll
     from gns.training.samples import stretch
 
     settings, rng = checked(simulator).settings, np.random.default_rng(0)
@@ -55,7 +56,7 @@ def evaluate(simulator: "StepModel", flows: "Sequence[Flow]") -> list[Score]:
     for flow in flows:
         steps = len(flow.positions) - 1
         sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
-        there = sample.to(next(simulator.parameters()).device)
+        there = sample.to(placed(simulator).device)
         rests = not flow.moves(steps - 1)
         with torch.no_grad():
             more = measures.AFTER if rests else 1
@@ -111,7 +112,7 @@ def table(scores: Sequence[Score]) -> str:
     return markdown_table(rows, "keys", "github") + "\n"
 
 
-def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, keep: bool = False) -> None:
+def score(*datasets: Path, model: Path, split: str = "test", threads: PositiveInt = 1, keep: bool = False) -> None:
     """Score a model by whole rollouts.
 
     Args:

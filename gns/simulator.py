@@ -4,6 +4,7 @@ import dataclasses
 import inspect
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import chain
 from typing import Any, ParamSpec, Protocol, Self
 
 import torch
@@ -61,6 +62,12 @@ def checked(model: Any) -> StepModel:
     except TypeError:
         require(False, f"{name}.forward", "forward(state, conditions)", f"forward{signature}")
     return model  # type: ignore[no-any-return]
+
+
+def placed(model: StepModel) -> Tensor:
+    """A number of the model: its device and its precision are those of the model, of one without any the usual ones."""
+    numbers = chain(model.parameters(), model.buffers())
+    return next((number for number in numbers if number.is_floating_point()), torch.zeros(()))
 
 
 def advanced(
@@ -161,7 +168,9 @@ def settled(displacements: Tensor, limit: float) -> Tensor:
 
 def on_threads(count: int, compute: Callable[P, Tensor], *args: P.args, **kwargs: P.kwargs) -> Tensor:
     """Call `compute` with `count` threads of torch, and use as many in the backward pass through its result. Torch then
-    has as many threads as before. `gns/__init__.py` explains why few are faster."""
+    has as many threads as before. `gns/__init__.py` explains why few are faster. Raises InputError for less than one.
+    """
+    require(count >= 1, "threads", "a whole number from 1 on", count)
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
+from cyclopts.types import PositiveInt
 
 from datasets import command_line
 from gns.settings import ModelSettings, TrainingSettings
@@ -18,7 +19,7 @@ def train(
     resume: bool = False,
     begin: Path | None = None,
     seed: int = 0,
-    threads: int = 1,
+    threads: PositiveInt = 1,
     device: Literal["cpu", "cuda"] | None = None,
     model: Annotated[ModelSettings | None, Parameter(name="*")] = None,
     training: Annotated[TrainingSettings, Parameter(name="*")] = TRAINING,

@@ -37,7 +37,7 @@ from gns.surroundings.units import Units
 from gns.training.loop import LAST, fit
 from gns.training.samples import Flow, flows_of
 from inverse.forward.gns import require_predicted
-from inverse.parameters import Vector
+from inverse.parameters import Vector, with_kinds
 from inverse.posterior.emulator import fewest_runs, fitted
 from inverse.problem import Problem, read_problem
 from mpm.footprint import INVERSION
@@ -88,9 +88,8 @@ def adapt(
     entries = flows.entries(seed=seed)
     jobs = processors() if jobs is None else jobs
     training = dataclasses.replace(TRAINING, minutes=minutes)
-    if (recorded := read_json(out / PROBLEM)) not in (None, identity(asked)):
-        expected = f"expected a new folder, or one of {asked.name} on the same cells"
-        raise InputError(f"{expected}, it is of another problem: {', '.join(recorded['unknowns'])}", where=str(out))
+    if other := other_problem(out, asked):
+        raise InputError(f"expected a new folder, or one of {asked.name}, it is of {other}", where=str(out))
     try:
         missing = len(missing_entries(entries, out / DATA))
     except InputError as error:
@@ -120,6 +119,18 @@ def identity(problem: Problem) -> dict[str, Any]:
     """What identifies a problem's flows: the unknowns, and the scene with the unknowns at the middle of the box."""
     middle = problem.box.at(np.full(len(problem.names), 0.5))
     return {"unknowns": problem.names, "scene": problem.scene_at(middle, 0).to_json()}
+
+
+def other_problem(run: Path, problem: Problem) -> str:
+    """What the flows in the folder `run` are of, in words, where they are not of `problem`; else empty."""
+    recorded, asked = read_json(run / PROBLEM), identity(problem)
+    if recorded in (None, asked):
+        return ""
+    if recorded["unknowns"] != asked["unknowns"]:
+        return f"another problem ({', '.join(recorded['unknowns'])})"
+    middle = problem.box.at(np.full(len(problem.names), 0.5))
+    same = with_kinds(Scene.from_json(recorded["scene"]), problem.kinds, middle).to_json() == asked["scene"]
+    return "this problem with other bounds" if same else "another scene with the same unknowns"
 
 
 def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: int) -> Definition:
@@ -168,9 +179,9 @@ def deposits(model: Path | str, problem: Problem) -> list[tuple[Vector, Trajecto
     model: its folder or its file. Empty if it was adapted to another problem. Raises InputError for a broken file.
     """
     run = Path(model) if Path(model).is_dir() else Path(model).parent
-    if (recorded := read_json(run / PROBLEM)) != identity(problem):
-        if recorded is not None:
-            warnings.warn(f"{run}: its runs of the MPM are of another problem, and are not used", stacklevel=2)
+    if other := other_problem(run, problem):
+        warnings.warn(f"{run}: its runs of the MPM are of {other}, and are not used", stacklevel=2)
+    if other or not (run / PROBLEM).exists():
         return []
     flows = [Trajectory.load(path) for path in trajectory_files(run / DATA / DEPOSITS)]
     return [(np.array([kind.read(flow.scene) for kind in problem.kinds]), flow) for flow in flows]

@@ -86,8 +86,9 @@ def length_of(settings: ModelSettings) -> float:
 
 def stretched(positions: Tensor, moved: Tensor, conditions: Conditions) -> Tensor:
     """Positions of a rollout [m], shape [K + 1, N, D], stretched to an end displaced by `moved` [m], shape [N, D]."""
-    steps = (positions[1:] - positions[:-1]).detach().square().sum(dim=2)
+    steps = (positions[1:] - positions[:-1]).square().sum(dim=2)
     passed = conditions.of_particles(conditions.total(steps.T)).T.cumsum(dim=0)
+    # Of a flow that does not move the shares are 0, and so is their gradient.
     shares = (passed / passed[-1].clamp(min=1.0e-12)).unsqueeze(2)
     ways = [keep_out(at + share * moved, at, conditions) for at, share in zip(positions[1:], shares, strict=True)]
     return torch.stack((positions[0], *ways))

@@ -25,17 +25,17 @@ SQUARE_FLOOR = 1.0e-12  # added to d^2: stopped particles may coincide, and the 
 
 
 def constants(x: Moment) -> Tensor:
-    """Friction and cohesion; friction of floor and walls, damping and gravity of the sample; shape [N, 5 + D]."""
-    conditions, normalisation = x.conditions, x.normalisation
+    """Friction and cohesion; friction of floor or ground and of walls, damping, gravity; shape [N, 5 + D]."""
+    conditions, normalisation, count = x.conditions, x.normalisation, len(x.conditions.friction)
     friction = (conditions.friction - normalisation.friction_mean) / normalisation.friction_std
     cohesion = 0.5 * (conditions.cohesion / REFERENCE_COHESION).log1p()
-    rough = torch.stack((conditions.floor_friction, conditions.wall_friction), dim=1)
-    rough = (rough - ROUGHNESS[0]) / ROUGHNESS[1]
+    surfaces = x.bed, conditions.of_particles(conditions.wall_friction)
+    rough = torch.stack([(friction.expand(count) - ROUGHNESS[0]) / ROUGHNESS[1] for friction in surfaces], dim=1)
     inclined = torch.full_like(conditions.gravity[0], INCLINED / GRAVITY)
     inclined[UP] = 1.0 / GRAVITY
-    shared = torch.cat((rough, DAMPING * conditions.damping.unsqueeze(1), inclined * conditions.gravity), dim=1)
+    shared = torch.cat((DAMPING * conditions.damping.unsqueeze(1), inclined * conditions.gravity), dim=1)
     strengths = torch.stack((friction, cohesion), dim=1)
-    return torch.cat((strengths, conditions.of_particles(shared).expand(len(strengths), -1)), dim=1)
+    return torch.cat((strengths, rough, conditions.of_particles(shared).expand(count, -1)), dim=1)
 
 
 # Node features that are constant during a rollout: they also scale and shift the latents of each message-passing step.

@@ -100,6 +100,16 @@ class Moment:
         return Below(self.state.positions, self.conditions.ground, self.conditions.batch)
 
     @cached_property
+    def bed(self) -> Tensor:
+        """Coulomb coefficient of the floor or of the ground above it, below each particle [-], shape [N or 1]. Nothing
+        touches a floor that terrain covers, so its own friction has no effect; in the training data both are equal."""
+        ground, floor = self.conditions.ground, self.conditions.of_particles(self.conditions.floor_friction)
+        if ground is None:
+            return floor
+        # The ground is nowhere lower than the floor, but for samples of a batch that have none.
+        return torch.where(self.below.value(ground.elevation) >= 0.0, self.below.value(ground.friction), floor)
+
+    @cached_property
     def stencil(self) -> Stencil:
         return stencil_of(self.state.positions, self.conditions.size, self.settings.grid_cell, self.conditions.batch)
 
@@ -122,7 +132,7 @@ class Moment:
     def traction(self) -> Tensor:
         """Friction of the surfaces [-], shape [N, D]."""
         conditions, dimension = self.conditions, self.settings.dimension
-        floor = conditions.of_particles(conditions.floor_friction).unsqueeze(1)
+        floor = self.bed.unsqueeze(1)
         wall = conditions.of_particles(conditions.wall_friction).unsqueeze(1)
         lower, upper = (1.0 - self.solids[:, : 2 * dimension]).chunk(2, dim=1)
         direction, friction = self.solids[:, -dimension - 1 : -1], self.solids[:, -1:]
@@ -152,14 +162,12 @@ class Moment:
         """Basal friction [-], shape [N, D]; along a ground with its own friction and Voellmy's turbulence."""
         conditions, velocity = self.conditions, self.velocity
         gravity = conditions.of_particles(conditions.gravity) * self.settings.step**2
-        trial, friction = velocity + gravity, conditions.of_particles(conditions.floor_friction)
+        trial, friction = velocity + gravity, self.bed
         upwards = torch.zeros_like(velocity[:1])
         upwards[:, UP] = 1.0
         if conditions.ground is not None and self.settings.bed_friction:
-            elevation, slope = self.below.value_and_slope(conditions.ground.elevation)
-            rough = self.below.value(conditions.ground.friction) + self.turbulence
-            # The ground is nowhere lower than the floor, except for samples of a batch without ground.
-            friction, upwards = torch.where(elevation >= 0.0, rough, friction), upward(slope)
+            friction = friction + self.turbulence
+            upwards = upward(self.below.value_and_slope(conditions.ground.elevation)[1])
         trial = trial - (trial * upwards).sum(dim=1, keepdim=True) * upwards
         normal = -(gravity * upwards).sum(dim=1)
         most = (torch.minimum(friction, conditions.friction) * normal.clamp(min=0.0)).unsqueeze(1)
@@ -221,14 +229,12 @@ class Moment:
         slopes = [torch.gradient(height, spacing=stencil.cell, dim=axis + 1)[0] for axis in level]
         slope = stencil.gather(torch.stack(slopes, dim=-1).flatten(0, -2))
         friction, bed = conditions.friction, torch.zeros_like(slope)
-        rough = conditions.of_particles(conditions.floor_friction)
         if conditions.ground is not None:
-            rough = self.below.value(conditions.ground.friction)
             bed = self.below.value_and_slope(conditions.ground.elevation)[1]
         sine = friction / (1.0 + friction.square()).sqrt()
         thrust = (1.0 - sine) / (1.0 + sine) * slope.norm(dim=1)
         gravity = conditions.of_particles(conditions.gravity)
-        slips = inclination(bed, gravity) + thrust > torch.minimum(rough, friction)
+        slips = inclination(bed, gravity) + thrust > torch.minimum(self.bed, friction)
         slips |= inclination(bed + slope, gravity) > UNEVEN[self.settings.dimension] * friction
         return conditions.total(slips.to(slope).unsqueeze(1)) == 0.0
 

@@ -57,8 +57,8 @@ class InitialState(Tensors):
 
 def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | None = None) -> InitialState:
     """The initial state of `scene` for a model of these settings; the choice of particles is always the same. frames:
-    an MPM run of the scene; the rollout begins at its last frame, by default at time 0. Raises InputError for a scene
-    that no such model represents (`check`), and for frames that do not fit."""
+    an MPM run of the scene; the rollout begins at its last whole step of the model, by default at time 0. Raises
+    InputError for a scene that no such model represents (`check`), and for frames that do not fit."""
     check(scene, settings)
     units = Units.of_model(scene, settings)
     step = units.time * settings.step
@@ -68,6 +68,8 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
         if frames.positions.shape[1] != observed.shape[1]:
             message = f"expected the {observed.shape[1]} particles of the scene, got {frames.positions.shape[1]}"
             raise InputError(message, where="start", key="positions")
+        span, least = float(np.ptp(frames.time)), f"frames over at least one step of the model, {step:.4g} s"
+        require(span >= (1.0 - 1.0e-6) * step, "time", least, f"{span:.4g} s", where="start")
         observed, velocity0 = resampled(frames, step), frames.velocity0
     cell, some = units.length * settings.cell, settings.particles_per_cell
     steps, count = scene.duration / step, some * released_volume(scene) / cell**scene.dimension

@@ -107,7 +107,7 @@ class Conditions(Tensors):
     gravity: Tensor
     """Gravitational acceleration [m/s^2], shape [B, D]."""
     floor_friction: Tensor
-    """Coulomb coefficient of the floor [-], shape [B]."""
+    """Coulomb coefficient of the floor [-], shape [B]; above a terrain `Moment.bed` takes its place."""
     wall_friction: Tensor
     """Coulomb coefficient of the other walls [-], shape [B]."""
     damping: Tensor

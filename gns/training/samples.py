@@ -76,8 +76,9 @@ class Flows(Sequence[Flow]):
             return flow_of(self.files[index], self.settings)
 
 
-def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bool = False) -> Flows:
+def flows_of(dataset: Path | str, split: str, settings: ModelSettings, *, progress: bool = False) -> Flows:
     """The flows of a split (`train`, `valid`, `test`) of a dataset, each opened once. Raises InputError."""
+    dataset = Path(dataset)
     files = trajectory_files(dataset / split)
     if not files:
         raise InputError(f"expected trajectories in {split}/*.npz or *.h5, there are none", where=str(dataset))

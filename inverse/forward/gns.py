@@ -28,7 +28,7 @@ from datasets.scene import Scene
 from gns import card
 from gns.ranges import outside
 from gns.settings import ModelSettings
-from gns.simulator import StepModel, checked, on_threads, step_activation_bytes, unroll
+from gns.simulator import StepModel, checked, on_threads, placed, step_activation_bytes, unroll
 from gns.surroundings.initial import InitialState, check, initial_state
 from gns.surroundings.state import Conditions, State
 from inverse.observations import Observation, Rollout, Values
@@ -157,8 +157,7 @@ class GnsForward:
 
     def begin(self, scene: Scene) -> InitialState:
         """The initial state of a scene, in the precision of the weights."""
-        dtype = next(self.simulator.parameters()).dtype
-        return initial_state(scene, self.simulator.settings).to(dtype=dtype)
+        return initial_state(scene, self.simulator.settings).to(dtype=placed(self.simulator).dtype)
 
     def observed(self, path: Tensor, start: InitialState) -> Tensor:
         """The smooth observation [m] of one flow's positions [m], shape [T, n, D], with its initial state."""

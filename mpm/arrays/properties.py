@@ -173,8 +173,8 @@ def properties_at(material: Material, depth: Array, friction_deg: Array | None =
 
 
 def initial_gaps(scene: Scene, particles: Particles) -> Array:
-    """K e [Pa] of particles at the start, shape [N, 1]. A body in flight starts with a tiny gap, which follows the grid:
-    without it, the nodes of a floor would carry the body up to a cell above the floor.
+    """K e [Pa] of particles at the start, shape [N, 1]. A body in flight starts with a tiny gap, which then follows the
+    grid: without it, the nodes of a floor would carry the body up to a cell above the floor.
     """
     gaps = np.zeros((len(particles.positions), 1))
     if remembers_gaps(scene) and particles.entry_time is None and not saturated(scene):

@@ -15,6 +15,7 @@ from safetensors.torch import save_file
 
 from datasets import Baffle, Channel, Domain, Mass, Scene, Solid, read_scene
 from datasets.definitions import FAMILIES, read_definition
+from datasets.scene.grid_field import Field
 from gns import card, checkpoint
 from gns.card import Calibration
 from gns.library import model_path, models, shipped
@@ -123,6 +124,23 @@ def test_a_scene_outside_is_warned_of_in_a_line_that_names_the_quantity(name: st
     reasons = said.split("range: ", 1)[1].split("; ")
     cause = next(reason for reason in reasons if reason.startswith(f"{name} "))
     assert re.search(r"\(none in the training data\)$|\(trained: .*, \S+ (above|below)\)$", cause)
+
+
+def test_fields_and_the_floor_count_where_particles_have_them_or_touch_it(model: Path) -> None:
+    def varied(quantity: str, *values: float) -> Scene:
+        grid = {"origin": (0.0, 0.0), "spacing": (0.2, 0.4), "nodes": (2, 2)}
+        return column(fields=(Field(quantity=quantity, values=values, **grid),))
+
+    ranges = card.read(model).ranges
+    low, *_ = outside(varied("friction_deg", 3.0, 3.0, 30.0, 30.0), ranges)
+    assert re.match(r"friction_deg 3\.\d* deg \(trained: .* below\)", low)
+    assert outside(varied("friction_deg", 30.0, 30.0, 40.0, 40.0), ranges) == outside(COLUMN, ranges)
+    assert outside(varied("velocity_x", 30.0, 30.0, 30.0, 30.0), ranges)[0].startswith("speed ")
+    assert quantities(varied("velocity_y", 1.0, 1.0, 1.0, 1.0))["upward_speed"].values
+    # A terrain over all of the floor leaves nothing on it.
+    assert not quantities(replace(on(0.5), floor_friction=2.0))["floor_friction"].values
+    low_ground = replace(on(0.5).solids[0], points=((0.0, 0.3), (0.25, 0.3), (0.75, -0.1), (2.0, -0.1)))
+    assert quantities(replace(on(0.5), solids=(low_ground,)))["floor_friction"].values == [COLUMN.floor_friction]
 
 
 def test_a_quantity_outside_is_named_with_its_range_and_by_how_much(model: Path) -> None:

@@ -60,6 +60,26 @@ def test_it_is_scored_calibrated_and_predicts_a_band(settings: ModelSettings, da
     refused(gns.predict, scene, model=model, said="calibration: expected a calibration, from gns.score.calibrated")
 
 
+class Ballistic(nn.Module):
+    """Flight, by a law without weights."""
+
+    def __init__(self, settings: ModelSettings) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, state: State, conditions: Conditions) -> State:
+        return advanced(state, conditions, torch.zeros_like(state.positions), self.settings)
+
+
+def test_a_law_without_weights_is_a_network_too(settings: ModelSettings, dataset: Path) -> None:
+    flows = flows_of(str(dataset), "test", settings)
+    assert evaluate(Ballistic(settings), flows) == evaluate(Braked(settings), flows)
+    scaled, problem = ModelSettings(cell=0.01, body_length=0.1), problem_of(2, "friction_deg")
+    point, front = torch.tensor(problem.initial), FrontSettings().operator(problem.scene)
+    fronts = [GnsForward(model(scaled), problem, front).predict(point) for model in (Ballistic, Braked)]
+    torch.testing.assert_close(*fronts)
+
+
 class OfGraph(nn.Module):
     """With another forward."""
 
@@ -162,3 +182,4 @@ def test_rollouts_and_their_gradients_run_on_one_thread() -> None:
     Counted.found.clear()
     gns.simulate(problem.scene, model=Watched(settings), threads=2)
     assert set(Counted.found) == {2}
+    refused(gns.simulate, problem.scene, model=Watched(settings), threads=0, said="threads: expected a whole number")

@@ -24,13 +24,15 @@ DEEP = scene_of(Mass(lower=(0.0, 0.0, 0.0), size=(0.12, 0.16, 0.1)), size=(0.6, 
 
 @pytest.fixture
 def files(simulator: Simulator, tmp_path: Path) -> dict[str, Path]:
-    """A scene, a model and the first 21 frames of a run of the scene."""
+    """A scene, a model, and the first 22 and the first 4 frames of a run of the scene: 5.25 and 0.75 steps."""
     paths = {"scene": tmp_path / "scene.toml", "model": tmp_path / "model.safetensors", "start": tmp_path / "start.npz"}
     write_scene(SCENE, paths["scene"])
     checkpoint.save(paths["model"], simulator, {})
     whole = spreading(30.0)
     short = replace(SCENE, duration=0.05)
-    replace(whole, positions=whole.positions[:21], time=whole.time[:21], scene=short).save(paths["start"])
+    for name, last in (("start", 22), ("brief", 4)):
+        path = paths.setdefault(name, tmp_path / f"{name}.npz")
+        replace(whole, positions=whole.positions[:last], time=whole.time[:last], scene=short).save(path)
     return paths
 
 
@@ -40,9 +42,14 @@ def run(files: dict[str, Path], out: Path, *flags: str) -> int:
     return command_line.run(rollout, "rollout", arguments)
 
 
-def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path) -> None:
+def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(files, tmp_path / "rest") == 0
+    assert "begins" not in capsys.readouterr().out
     assert run(files, tmp_path / "frames", "--start", str(files["start"])) == 0
+    assert f"the rollout begins at 0.05 s of the 0.0525 s of {files['start']}" in capsys.readouterr().out
+    brief = ("--out", tmp_path / "brief", "--model", files["model"], "--start", files["brief"])
+    said = refused_by(capsys, rollout, files["scene"], *brief)
+    assert "start: time: expected frames over at least one step of the model, 0.01 s, got 0.0075 s" in said
     for name, kind, steps in (("rest", "rest", 25), ("frames", "frames", 20)):
         trajectory = Trajectory.load(tmp_path / name / "trajectory.npz")
         summary = json.loads((tmp_path / name / "summary.json").read_text())
@@ -89,6 +96,7 @@ def test_refusals(
         (files, ["--start", str(tmp_path / "none.npz")], "there is no such file"),
         ({**files, "scene": deep}, [], "deep.toml: expected a 2D scene"),
         (files, ["--device", "tpu"], "tpu"),
+        (files, ["--threads", "0"], "--threads"),
     ]
     if not torch.cuda.is_available():
         cases.append((files, ["--device", "cuda"], "expected a GPU"))

@@ -98,7 +98,8 @@ def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: 
     assert prediction.profile_error == pytest.approx(calibration.profile["0.8"] * (front - rear))
     assert prediction.warning is None
     assert "slope_deg 20" in (gns.predict(replace(scene, slope_deg=20.0), model=model).warning or "")
-    refused(gns.predict, scene, model=model, level=0.9, said="level: expected one of 0.5, 0.8, 0.95, got 0.9")
+    for level, got in ((0.9, "0.9"), ("0.95", "'0.95'")):
+        refused(gns.predict, scene, model=model, level=level, said=f"level: expected one of 0.5, 0.8, 0.95, got {got}")
 
 
 def test_what_cannot_be_calibrated_is_an_input_error(
@@ -106,6 +107,7 @@ def test_what_cannot_be_calibrated_is_an_input_error(
 ) -> None:
     said = partial(refused_by, capsys, score, "--model", model, "--keep")
     assert "expected at least one dataset" in said()
+    assert "--threads" in said(dataset, "--threads", "0")
     assert f"expected datasets that the model was trained on, {dataset.name}, got other" in said(tmp_path / "other")
     card.card_path(model).unlink()
     assert "expected the model's card" in said(dataset)

@@ -1,6 +1,7 @@
 """`inverse.adapt`: flows over a problem's box, a model trained on them, and what is refused in a line."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -101,10 +102,18 @@ def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, weights: 
     first = dataclasses.replace(problem.parameters[0], initial=31.0)
     assert deposits(adapted, dataclasses.replace(problem, parameters=(first, *problem.parameters[1:])))
     other = problem_of(2, "cohesion")
-    with pytest.warns(UserWarning, match="its runs of the MPM are of another problem, and are not used"):
-        assert deposits(adapted, other) == []
-    said = "expected a new folder, or one of small on the same cells, it is of another"
-    refused(adapt, other, adapted, runs=7, model=weights, said=said)
+    first = dataclasses.replace(problem.parameters[0], upper=problem.parameters[0].upper + 1.0)
+    wider = dataclasses.replace(problem, parameters=(first, *problem.parameters[1:]))
+    longer = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, duration=0.16))
+    for asked, said in (
+        (other, "another problem (friction_deg, masses[0].velocity_x)"),
+        (wider, "this problem with other bounds"),
+        (longer, "another scene with the same unknowns"),
+    ):
+        with pytest.warns(UserWarning, match=re.escape(f"its runs of the MPM are of {said}, and are not used")):
+            assert deposits(adapted, asked) == []
+        message = f"expected a new folder, or one of small, it is of {said}"
+        refused(adapt, asked, adapted, runs=7, model=weights, said=message)
 
 
 @pytest.mark.slow

@@ -42,7 +42,10 @@ def test_the_end_is_moved_and_the_way_to_it_stretched(corrected: Simulator, clou
     assert ((frames[1:] >= 0.0) & (frames[1:] <= conditions.size[0])).all()
     # Sand that has not moved stays.
     still = state.positions.expand(4, -1, -1)
-    torch.testing.assert_close(stretched(still, torch.ones_like(state.positions), conditions), still)
+    at_rest = still.clone().requires_grad_()
+    torch.testing.assert_close(stretched(at_rest, torch.ones_like(state.positions), conditions), still)
+    (slope,) = torch.autograd.grad(stretched(at_rest, torch.ones_like(state.positions), conditions).sum(), at_rest)
+    assert slope.isfinite().all()
 
 
 def test_samples_side_by_side_are_corrected_as_alone(corrected: Simulator, cloud: Cloud) -> None:

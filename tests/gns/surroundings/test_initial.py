@@ -15,7 +15,7 @@ from gns.settings import GRAVITY, ModelSettings
 from gns.simulator import Simulator
 from gns.surroundings.forces import Moment
 from gns.surroundings.initial import initial_state
-from gns.surroundings.state import in_model_units
+from gns.surroundings.state import Conditions, State, in_model_units
 from gns.surroundings.units import Units
 from tests.gns.conftest import NORMALISATION
 from tests.refusals import refused
@@ -152,6 +152,28 @@ def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(du
     else:
         assert body == pytest.approx(0.28)
     assert units.stress == pytest.approx(scene.material.density / settings.density * 3.71 / GRAVITY * units.length)
+
+
+def test_below_a_terrain_the_floor_has_the_friction_of_the_terrain(lively: Simulator) -> None:
+    scene, rough = VARIANTS["terrain"], VARIANTS["terrain"].solids[0]
+    expected = simulate(scene, model=lively).positions
+    np.testing.assert_array_equal(simulate(replace(scene, floor_friction=0.05), model=lively).positions, expected)
+    # A flow over a bed of one friction has the inputs of the training data, where the floor has it too.
+    smooth = replace(scene, solids=(replace(rough, friction=0.1),))
+    both = [simulate(replace(smooth, floor_friction=mu), model=lively).positions for mu in (0.4, 0.1)]
+    np.testing.assert_array_equal(*both)
+    assert np.abs(both[0] - expected).max() > 1e-4
+    # Beside a terrain and in samples without any it is that of the floor.
+    partial = replace(rough, points=((0.0, 0.1), (0.05, 0.1), (0.06, -0.1), (0.6, -0.1)))
+    starts = [initial_state(other, SETTINGS) for other in (replace(scene, solids=(partial,)), LEVEL)]
+    state = State.joined([start.state for start in starts])
+    conditions = Conditions.joined([start.conditions for start in starts])
+    bed, count = Moment(state, conditions, SETTINGS, NORMALISATION).bed, len(starts[0].indices)
+    behind = state.positions[:count, 0] < 0.05
+    assert 0 < behind.sum() < count
+    torch.testing.assert_close(bed[:count][behind], torch.full((int(behind.sum()),), 0.5))
+    assert (bed[:count][state.positions[:count, 0] > 0.07] == 0.4).all()
+    assert (bed[count:] == 0.4).all()
 
 
 DEEP = replace(SETTINGS, dimension=3, cell=0.02, radius=0.05, grid_cell=0.04, body_length=0.252)

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from datasets import Baffle, Mass, Material
+from gns.network.correction import Correction
 from gns.simulator import unroll
 from inverse import Parameter, Problem, TargetSettings, read_problem
 from inverse.forward.adjoint import AdjointForward, AdjointRun
@@ -47,6 +48,18 @@ def test_between_two_steps_particles_move_straight(problem: Problem) -> None:
         between = (1.0 - share) * path[3] + share * path[4]
         alone = Rollout(positions=between[None], times=np.array([time]), volumes=initial.conditions.volume)
         torch.testing.assert_close(seen[0], observation.predict(alone)[0], rtol=1e-5, atol=1e-7)
+
+
+def test_the_gradient_of_a_corrected_front_before_the_end_is_that_of_differences(problem: Problem) -> None:
+    simulator, moments = simulator_of(2), FrontSettings(times=(0.05, 0.1, 0.15))
+    simulator.correction = Correction(simulator.settings).double().eval()
+    with torch.no_grad():
+        simulator.correction.network.decoder.mlp[-1].weight.normal_(std=0.3)
+    forward, step = GnsForward(simulator, problem, moments.operator(problem.scene)), 1e-5
+    point = torch.tensor([30.0], dtype=torch.float64, requires_grad=True)
+    slopes = [torch.autograd.grad(front, point, retain_graph=True)[0].item() for front in forward.predict(point)]
+    behind, ahead = forward.observe([np.array([30.0 - step]), np.array([30.0 + step])])
+    np.testing.assert_allclose(slopes, (ahead - behind) / (2.0 * step), rtol=1e-4)
 
 
 def test_a_thickness_makes_other_particles_and_has_no_derivative(problem: Problem) -> None:
