@@ -22,7 +22,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import shapely
@@ -50,6 +50,12 @@ KINDS = {
     "arrival": ("time of arrival", "s", "viridis"),
 }
 """Attributes of `PlanMaps`, and the names of their files: what they show, its unit, colours of matplotlib."""
+MEASURED: dict[str, Literal["normal", "vertical"]] = {
+    KINDS["thickness"][0]: "vertical",
+    KINDS["depth"][0]: "vertical",
+    KINDS["normal_depth"][0]: "normal",
+}
+"""How the maps of a thickness are measured, by what they show, which is the description of the raster's band."""
 BETWEEN = 8  # most moments that are looked at from one frame to the next: as many as fast particles cross cells
 FAST = 0.99  # quantile of the particles' displacements that counts as fast: a single grain does not decide
 COLOURS = 9  # of a map in QGIS
