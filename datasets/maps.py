@@ -22,7 +22,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import shapely
@@ -50,6 +50,12 @@ KINDS = {
     "arrival": ("time of arrival", "s", "viridis"),
 }
 """Attribute of `PlanMaps` and name of its file -> title, unit, matplotlib colours."""
+MEASURED: dict[str, Literal["normal", "vertical"]] = {
+    KINDS["thickness"][0]: "vertical",
+    KINDS["depth"][0]: "vertical",
+    KINDS["normal_depth"][0]: "normal",
+}
+"""Title, which is the description of a raster's band -> how the map measures a thickness."""
 BETWEEN = 8  # most moments evaluated from one frame to the next: as many as cells that fast particles cross
 FAST = 0.99  # quantile of the particles' displacements that counts as fast, so that no single grain decides
 COLOURS = 9  # number of colours of a map in QGIS

@@ -3,7 +3,7 @@
 The box contains all ground that the energy line reaches from the release, and a margin around it. The line reaches
 ground that is connected with the release and lies below
 
-    z_0 - REACH mu s,    z_0: the top of the release, s: level distance from it
+    z_0 - REACH mu s,    z_0: the top of the release on the highest post around it, s: level distance from it
 
 A thickness T normal to the bed is T / cos(slope) along the vertical, for each cell of the raster.
 """
@@ -14,7 +14,7 @@ import shlex
 import sys
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from datasets.command_line import run
 from datasets.errors import naming, require
-from datasets.exchange.map_box import ROUNDING, filled, largest, whole_cells
+from datasets.exchange.map_box import ROUNDING, filled, whole_cells
 from datasets.files import write_text
 from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.grid_field import Floats
@@ -64,16 +64,15 @@ def site(
     one for all polygons, a raster, or None for that of each polygon; bed: its `friction`, perhaps `turbulence`; slope:
     of the energy line. Raises InputError for a release outside the raster or without thickness."""
     given, field = (thickness, None) if isinstance(thickness, float) else (None, thickness)
-    thick = [float(np.nanmax(field.values)) if field else thickness_of(feature, given) for feature in release]
-    covered = np.zeros(raster.values.shape, bool)
-    masses, top, taken = [], -math.inf, shapely.Polygon()
+    thick = [0.0 if field else thickness_of(feature, given) for feature in release]
+    ground, covered = filled(raster.values, raster.spacing), np.zeros(raster.values.shape, bool)
+    parts, cut, taken = list[Part](), list[bool](), shapely.Polygon()
     for feature, depth in zip(release, thick, strict=True):
         shape, taken = feature.polygon.difference(taken), taken.union(feature.polygon)
         for polygon in without_rings(shape):
-            mass, inside = layer(raster, polygon, field or depth, vertical)
-            covered |= inside
-            masses.append(mass)
-            top = max(top, float(raster.values[inside].max()) + 2.0 * depth)
+            parts.append(layer(raster, ground, polygon, field or depth, vertical, covered))
+            cut.append(shape.area < feature.polygon.area)
+    require(len(parts) > 0, "--release", f"polygons wider than {ROUNDING:g} m", "none")
     twice = sum(feature.polygon.area for feature in release) - taken.area
     if twice > OVERLAP * taken.area:
         said = f"polygons of the release share {twice:.3g} m^2, which count once, for the first polygon"
@@ -88,16 +87,22 @@ def site(
             " it together"
         )
         warnings.warn(said, stacklevel=2)
+    top = max(part.top for part in parts)
     lower, upper = reached(raster, covered, top, slope)
     lower[::2], upper[::2] = np.minimum(lower[::2], taken.bounds[:2]), np.maximum(upper[::2], taken.bounds[2:])
-    volume = float(covered.sum()) * math.prod(raster.spacing) * max(thick)
-    plan = float(np.prod((upper - lower)[::2]))
+    upper[1] = max(upper[1], top)
+    volume, plan = sum(part.volume for part in parts), float(np.prod((upper - lower)[::2]))
+    mean = float(np.average([part.depth for part in parts], weights=[part.polygon.area for part in parts]))
     # A layer thinner than the particle spacing is one particle thick.
     few = 2.0 * max((volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(taken.area / PARTICLES))
-    wanted = min(max(thick), math.sqrt(taken.area)) / ACROSS
-    edge = cell or round_up(max(wanted, few, math.sqrt(plan / COLUMNS)))
+    edge = cell or round_up(max(min(mean, math.sqrt(taken.area)) / ACROSS, few, math.sqrt(plan / COLUMNS)))
     beside = AROUND * edge * np.array([1.0, 0.0, 1.0])
-    upper[1] += max(largest(mass["thickness"]) for mass in masses)
+    # Narrower than a particle, where a polygon lies all but within others.
+    narrow = [part.polygon.buffer(-0.25 * edge).is_empty and of_cut for part, of_cut in zip(parts, cut, strict=True)]
+    if any(narrow):
+        lost = sum(part.polygon.area for part, left in zip(parts, narrow, strict=True) if left)
+        said = f"overlapping polygons leave strips narrower than {0.5 * edge:g} m, {lost:.3g} m^2, which are dropped"
+        warnings.warn(said, stacklevel=2)
     # Posts of the raster stand half a spacing inside its edge.
     ends = [(float(axis[0]), float(axis[-1])) for axis in (raster.x, raster.z)]
     domain = whole_cells(lower - beside, upper + beside, edge, ends, "--cell")
@@ -110,14 +115,16 @@ def site(
         "material": {"friction_deg": internal_friction},
         "open_sides": ["x-", "x+", "z-", "z+"],
         "domain": domain | ({} if raster.crs is None else {"crs": raster.crs}),
-        "masses": masses,
+        "masses": [part.mass for part, left in zip(parts, narrow, strict=True) if not left],
         "solids": [{"name": "terrain", "kind": "terrain", **bed}],
     }
 
 
 def thickness_of(feature: "Feature", given: float | None) -> float:
     """Thickness of a polygon [m]: the given one, else its attribute. Raises InputError."""
-    attribute = next((feature.attributes[name] for name in THICKNESS if name in feature.attributes), None)
+    values = [feature.attributes[name] for name in THICKNESS if name in feature.attributes]
+    # NULL is None or NaN, and in a column of text it may be empty.
+    attribute = next((value for value in values if value == value and value not in (None, "")), None)
     try:
         value = given if given is not None else float("nan" if attribute is None else attribute)
     except (TypeError, ValueError):
@@ -128,9 +135,10 @@ def thickness_of(feature: "Feature", given: float | None) -> float:
 
 
 def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
-    """Polygons cut into adjacent parts without holes, along a north-south line through each hole."""
+    """Polygons cut into adjacent parts without holes, along a north-south line through each hole. Vertices are rounded
+    to micrometres, and merged if they are in one place."""
     parts = []
-    for polygon in shapely.get_parts(shape):
+    for polygon in shapely.get_parts(shapely.set_precision(shape, ROUNDING)):
         if polygon.area > 0.0 and polygon.interiors:
             west, south, east, north = polygon.bounds
             middle = float(np.mean(polygon.interiors[0].bounds[::2]))
@@ -141,46 +149,67 @@ def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
     return parts
 
 
+class Part(NamedTuple):
+    """A part of the release."""
+
+    polygon: shapely.Polygon
+    mass: dict[str, Any]  # of a scene file
+    depth: float  # mean thickness, as it is given, where there is some [m]
+    volume: float  # about [m^3]
+    top: float  # elevation that none of its places exceeds [m]
+
+
 def layer(
-    raster: "Raster", polygon: shapely.Polygon, thickness: "float | Raster", vertical: bool
-) -> tuple[dict[str, Any], NDArray[np.bool_]]:
-    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster whose cells it intersects. thickness:
-    [m], a number, or a raster, whose cells the mass then takes over."""
+    raster: "Raster",
+    ground: Floats,
+    polygon: shapely.Polygon,
+    thickness: "float | Raster",
+    vertical: bool,
+    covered: NDArray[np.bool_],
+) -> Part:
+    """A polygon as a layer. ground: elevations of the raster with holes filled [m], [X, Z]; thickness: [m], a number, or
+    a raster, whose cells the layer then takes over; covered: [X, Z], in which the posts whose cells intersect the
+    polygon are marked."""
     box = polygon.bounds
     for axis, spacing, low, high in zip((raster.x, raster.z), raster.spacing, box[:2], box[2:], strict=True):
         within = axis[0] - 0.5 * spacing <= low and high <= axis[-1] + 0.5 * spacing
         got = f"{low:.10g} to {high:.10g} beside {axis[0]:.10g} to {axis[-1]:.10g}"
         require(bool(within), "--release", "polygons that lie on the raster", got)
-    parts, inside = beside(raster, polygon), np.zeros(raster.values.shape, bool)
-    x, z = np.meshgrid(raster.x[parts[0]], raster.z[parts[1]], indexing="ij")
-    half_x, half_z = (WITHIN * spacing for spacing in raster.spacing)
-    shapely.prepare(polygon)
-    inside[parts] = shapely.intersects(polygon, shapely.box(x - half_x, z - half_z, x + half_x, z + half_z))
-    holes = int(np.isnan(raster.values[inside]).sum())
+    near, inside = beside(raster, polygon, WITHIN)
+    covered[near] |= inside
+    holes = int(np.isnan(raster.values[near][inside]).sum())
     require(holes == 0, "--release", "ground beneath all of it", f"{holes} posts of the raster without data")
+    # At its edge the ground is that between the posts of its cells and the next ones.
+    near, around = beside(raster, polygon, 2.0 * WITHIN)
+    highest = float(ground[near][around].max())
     mass: dict[str, Any] = {"kind": "layer", "outline": [list(place) for place in polygon.exterior.coords[:-1]]}
     if vertical and isinstance(thickness, float):
-        return mass | {"thickness": thickness}, inside
-    if isinstance(thickness, float):
-        cells, here = raster, np.full(x.shape, thickness)
-    else:
-        cells, parts = thickness, beside(thickness, polygon)
-        here = np.nan_to_num(thickness.values[parts])
+        mass |= {"thickness": thickness}
+        return Part(polygon, mass, thickness, thickness * polygon.area, highest + thickness)
+    cells = raster if isinstance(thickness, float) else thickness
+    near, inside = beside(cells, polygon, WITHIN)
+    here = np.full(inside.shape, thickness) if isinstance(thickness, float) else np.nan_to_num(thickness.values[near])
+    here[~inside] = 0.0
     require(bool((here > 0.0).any()), "--thickness", "a thickness above 0 m in each polygon", "none")
-    x, z = cells.x[parts[0]], cells.z[parts[1]]
+    x, z = cells.x[near[0]], cells.z[near[1]]
     rows = np.round(here * (1.0 if vertical else steepness(raster, x, z)), 6)
-    place = {"origin": [float(x[0]), float(z[0])], "spacing": list(cells.spacing)}
-    return mass | {"thickness": rows.tolist()} | place, inside
+    mass |= {"thickness": rows.tolist(), "origin": [float(x[0]), float(z[0])], "spacing": list(cells.spacing)}
+    volume = float(rows[inside].mean()) * polygon.area
+    return Part(polygon, mass, float(here[here > 0.0].mean()), volume, highest + float(rows.max()))
 
 
-def beside(raster: "Raster", polygon: shapely.Polygon) -> tuple[slice, slice]:
-    """The posts of a raster, along x and z, that lie in the box around a polygon or within a cell of it."""
+def beside(raster: "Raster", polygon: shapely.Polygon, half: float) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
+    """The posts of a raster, along x and z, that lie in the box around a polygon or within a cell of it, and which of
+    them have a cell that intersects the polygon, [X, Z]; half: half the size of this cell, in spacings."""
     ends = zip((raster.x, raster.z), raster.spacing, polygon.bounds[:2], polygon.bounds[2:], strict=True)
     first, second = (
         slice(int(np.searchsorted(axis, low - step)), int(np.searchsorted(axis, high + step, side="right")))
         for axis, step, low, high in ends
     )
-    return first, second
+    x, z = np.meshgrid(raster.x[first], raster.z[second], indexing="ij")
+    half_x, half_z = (half * spacing for spacing in raster.spacing)
+    shapely.prepare(polygon)
+    return (first, second), shapely.intersects(polygon, shapely.box(x - half_x, z - half_z, x + half_x, z + half_z))
 
 
 def steepness(raster: "Raster", x: Floats, z: Floats) -> Floats:
@@ -265,14 +294,16 @@ def command(
         release: Release polygons: shapefile, GeoPackage, GeoJSON or KML.
         out: The scene to write (TOML).
         thickness: Thickness of the release [m], or a raster of it; default: attribute `thickness` or `d0` of a polygon.
-        vertical: Whether the thickness is measured along the vertical; default: normal to the ground.
+        vertical: Whether the thickness is measured along the vertical, as in maps of Talus; default: normal to the
+            ground.
         friction: Coulomb friction coefficient of the ground, or a raster of it.
         turbulence: Voellmy's turbulent coefficient of the ground [m/s^2], or a raster of it; default: none.
         internal_friction: Angle of internal friction of the material [deg].
-        cell: Edge of a grid cell [m]; default: half of the thickness, or more if the box is large.
+        cell: Edge of a grid cell [m]; default: half of the mean thickness, or more if the box is large.
     """
     from datasets.exchange.rasters import read_raster, same_system, write_raster
     from datasets.exchange.vectors import LAYER, read_polygons
+    from datasets.maps import MEASURED
 
     for path in (path for path in (dem, release, thickness, friction, turbulence) if isinstance(path, Path)):
         given = Path(str(path).partition(LAYER)[0]).resolve()
@@ -293,6 +324,7 @@ def command(
             least_thick = float(np.nanmin(thick.values))
             require(least_thick >= 0.0, "", "thicknesses of at least 0 m", least_thick)
             require(same_system(raster.crs, thick), "", f"the reference system of {dem}, {raster.crs}", thick.crs)
+            vertical = vertical or MEASURED.get(thick.description) == "vertical"
     with naming(release):
         features = read_polygons(release, raster.crs)
         bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
@@ -309,7 +341,7 @@ def command(
         print(f"{dem}: the raster with its holes filled by the nearest posts; nothing should flow there")
     paths = {name: value for name, value in (bed | {"file": dem}).items() if isinstance(value, Path)}
     terrain |= {name: str(path.resolve()) for name, path in paths.items()}
-    with naming(out):
+    with naming(release):
         scene = scene_from({"duration": 1.0, "frame_dt": 1.0, **table}, out.resolve().parent)
     warn_if_unlikely(scene)
     terrain |= {name: os.path.relpath(path.resolve(), out.resolve().parent) for name, path in paths.items()}

@@ -108,7 +108,10 @@ def filled(values: Floats, spacing: Sequence[float] | None = None) -> Floats:
     """Values at posts `spacing` [m] apart, [X, Z], holes (NaN) with those of the nearest posts."""
     from scipy.ndimage import distance_transform_edt
 
-    nearest = distance_transform_edt(np.isnan(values), spacing, return_distances=False, return_indices=True)
+    holes = np.isnan(values)
+    if not holes.any():
+        return values
+    nearest = distance_transform_edt(holes, spacing, return_distances=False, return_indices=True)
     return np.asarray(values[tuple(nearest)])
 
 

@@ -1,4 +1,4 @@
-"""Meshes of triangles: read by pyvista, written by meshio."""
+"""Meshes of triangles: read by pyvista, OFF and MSH by meshio, which writes them all."""
 
 import io
 import os
@@ -8,6 +8,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import redirect_stderr, redirect_stdout
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from datasets.scene import Scene
 
 MESHES = (".stl", ".obj", ".ply", ".off", ".msh", ".vtk", ".vtu")
 """Endings of meshes in formats that refer to no other file."""
+BY_MESHIO = (".off", ".msh")
+SINGLE = (".stl", ".ply")  # formats that are read in single precision
+STEPS = 1.0e5  # least steps of single precision over the extent of a mesh; fewer give a warning
 IN_PROCESS = (".stl", ".obj")  # formats whose readers survive any file
 SAME = (1.0e-9, 1.0e-7, 1.0e-6, 1.0e-5)
 """Distances, over the extent of the mesh, within which vertices are merged: the first that closes the surface."""
@@ -31,7 +35,12 @@ def read_mesh(path: Path) -> tuple[Floats, Integers]:
     file_size(path, "a mesh", most=LARGEST)
     require(path.suffix.lower() in MESHES, "", f"a mesh, a file that ends in {' '.join(MESHES)}", where=str(path))
     with reading(path, "a readable mesh"):
-        return triangles_in(path) if path.suffix.lower() in IN_PROCESS else read_apart(path)
+        vertices, triangles = triangles_in(path) if path.suffix.lower() in IN_PROCESS else read_apart(path)
+    step, extent = float(np.spacing(np.float32(np.abs(vertices).max()))), float(np.ptp(vertices, axis=0).max())
+    if path.suffix.lower() in SINGLE and extent < STEPS * step:
+        said = f"single precision has steps of {step:.2g} at the place of this mesh, which is {extent:.3g} long"
+        warnings.warn(f"{path}: {said}; let it count from a place nearby and give that as `at`", stacklevel=2)
+    return vertices, triangles
 
 
 def triangles_in(path: Path) -> tuple[Floats, Integers]:
@@ -42,10 +51,18 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
     # Readers warn of normals without a vertex, and print what they leave out.
     with warnings.catch_warnings(), redirect_stdout(output), redirect_stderr(output), pyvista.vtk_verbosity("off"):
         warnings.simplefilter("ignore")
-        mesh = pyvista.PolyData(*read_obj(path)) if path.suffix.lower() == ".obj" else pyvista.read(path)
+        try:
+            mesh = data_set(path)
+        except SystemExit:  # meshio has printed why
+            raise InputError(f"expected a readable mesh, {output.getvalue().strip().splitlines()[0]}") from None
         require(isinstance(mesh, pyvista.DataSet), "", "one mesh", type(mesh).__name__)
         mesh.clear_data()
         require(bool(np.isfinite(mesh.points).all()), "", "vertices of finite coordinates", "others")
+        if isinstance(mesh, pyvista.UnstructuredGrid) and mesh.n_cells > 0:
+            # Gmsh writes the triangles, lines and points on the boundary of tetrahedra beside these.
+            _, first, kind = np.unique(mesh.celltypes, return_index=True, return_inverse=True)
+            dimensions = np.array([mesh.get_cell(number).dimension for number in first])[kind]
+            mesh = mesh.extract_cells(dimensions == dimensions.max())
         skin = mesh.extract_surface(algorithm="dataset_surface").triangulate()
         for tolerance in SAME:
             merged = skin.clean(tolerance=tolerance, absolute=False)
@@ -53,6 +70,21 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
                 break
         require(merged.n_cells > 0, "", "a mesh with triangles", "none")
         return np.asarray(merged.points, np.float64), np.asarray(merged.regular_faces, np.int64)
+
+
+def data_set(path: Path) -> Any:
+    """What pyvista makes of a file. Raises InputError, and whatever the libraries raise, of meshio SystemExit too."""
+    import pyvista
+
+    if path.suffix.lower() == ".obj":
+        return pyvista.PolyData(*read_obj(path))
+    if path.suffix.lower() not in BY_MESHIO:
+        return pyvista.read(path)
+    import meshio
+
+    mesh = meshio.read(path)
+    # Without the groups of Gmsh, of which pyvista knows physical ones alone.
+    return pyvista.from_meshio(meshio.Mesh(mesh.points, mesh.cells))
 
 
 def read_obj(path: Path) -> tuple[Floats, Integers]:

@@ -68,7 +68,7 @@ def las_portions(path: Path, crs: str | None) -> Iterator[tuple[Floats, NDArray[
     with reading(path, "a readable LAS or LAZ"), laspy.open(path) as file:
         system = las_system(file.header)
         if system is not None:
-            system = known_system(system)
+            system = known_system(system, "", file.header.mins[:2].tolist() if crs is None else ())
         for points in file.chunk_iterator(PORTION):
             rows = np.stack([points.x, points.y, points.z], axis=1).astype(np.float64)
             kinds = np.array(points.classification, np.int64)

@@ -60,6 +60,7 @@ class Raster(NamedTuple):
     spacing: tuple[float, float]  # of the grid along x and z [m]
     corner: tuple[float, float]  # lower left corner of the extent in the file's own coordinates [m]
     crs: str | None  # coordinate reference system, as an authority's code or in WKT, where it names one
+    description: str = ""  # of the band, where there is one
 
 
 def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
@@ -71,6 +72,7 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
             check_values(plain_text(path), file.width * file.height)
         georeferenced = not file.transform.is_identity
         transform, crs, bands, unit = file.transform, system_of(file), file.count, file.units[0]
+        description = file.descriptions[0] or ""
         scale, offset = float(file.scales[0]), float(file.offsets[0])
         require(not file.dtypes[0].startswith("complex"), "", "real numbers", file.dtypes[0])
         masked = file.read(1, masked=True).astype(np.float64)
@@ -109,7 +111,7 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
     if crs:
         check_lengths(crs, float(x.mean()), float(z.mean()))
     spacing, corner = (float(transform.a), float(height)), (float(transform.c), float(south))
-    return Raster(x, z, np.ascontiguousarray(values.T), spacing, corner, crs.to_string() if crs else None)
+    return Raster(x, z, np.ascontiguousarray(values.T), spacing, corner, crs.to_string() if crs else None, description)
 
 
 def raster_system(path: Path) -> str | None:
@@ -201,15 +203,18 @@ def check_lengths(crs: Any, east: float, north: float) -> None:
     require(bool((np.abs(ground - 1.0) <= DISTORTED).all()), "", expected, got)
 
 
-def known_system(crs: str) -> str:
-    """The name of a reference system that a user gave. Raises InputError unless it is a projected one in metres."""
+def known_system(crs: str, key: str = "crs", place: Sequence[float] = ()) -> str:
+    """The name of a reference system that a user gave. Raises InputError unless it is a projected one in metres; at a
+    place, if given, in metres on the ground (`check_lengths`)."""
     try:
         system = CRS.from_user_input(crs)
     except CRSError:
         system = None
     unit = "" if system is None else "degrees" if system.is_geographic else str(system.linear_units)
     metres = system is not None and unit.lower() in METRES[1:] and not height_unit(system)
-    require(metres, "crs", "a projected coordinate system in metres, such as 'EPSG:2056'", repr(shortened(crs, 60)))
+    require(metres, key, "a projected coordinate system in metres, such as 'EPSG:2056'", repr(shortened(crs, 60)))
+    if place:
+        check_lengths(system, *place)
     return crs if system is None else str(system.to_string())
 
 

@@ -4,6 +4,7 @@ Which keys name them, and what they become: docs/formats.md, "Solids and bodies"
 of its cells; x runs to the east, z to the north.
 """
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ def with_files(data: Entry, folder: Path) -> Entry:
     with keyed("domain"):
         if "around" in domain:
             new["domain"] = domain = plan_around(domain, data.get("solids"), folder)
-        reader = Reader(from_mapping(Domain, domain), folder)
+        reader = Reader(from_mapping(Domain, domain), folder, "crs" in data["domain"])
     for group in ("solids", "masses"):
         if isinstance(data.get(group), list):
             new[group] = [reader.complete(entry, f"{group}[{index}]") for index, entry in enumerate(data[group])]
@@ -52,10 +53,24 @@ def with_files(data: Entry, folder: Path) -> Entry:
     return new
 
 
+def file_of(data: Entry, key: str) -> str:
+    """The file, as a scene names it, that gave one of its keys a value; empty where none did."""
+    found = re.match(r"(\w+)(?:\[(\d+)\])?\.(\w+)", key)
+    if found is None:
+        return ""
+    group, number, name = found.groups()
+    entry = data.get(group, {}) if number is None else data[group][int(number)]
+    named = FILES.get(WATER if group == "water" else entry.get("kind", ""), "")
+    file = entry.get(named) if name == named or name not in entry else None
+    return file if isinstance(file, str) else ""
+
+
 class Reader:
     """Reads the files of one scene; remembers where its terrain's raster lies, and in which reference system."""
 
-    def __init__(self, domain: Domain, folder: Path) -> None:
+    def __init__(self, domain: Domain, folder: Path, given: bool) -> None:
+        """given: whether the scene itself names a reference system, not a raster in it."""
+        self.whose = "domain.crs" if given else "the scene's other raster"
         self.folder, self.size, self.cell, self.crs = folder, domain.size, domain.cell, domain.crs
         self.lower = None if domain.origin is None else domain.origin[::2]  # in plan [m], in map coordinates
         self.offset: tuple[float, float] | None = None if self.lower is None else (0.0, 0.0)
@@ -145,7 +160,7 @@ class Reader:
         terrain, surface, offset = name == "heights", name != "thickness", self.offset
         self.crs = self.crs or raster.crs
         same = same_system(self.crs, raster)
-        require(same, "", f"the reference system of the scene's other raster, {self.crs}", raster.crs)
+        require(same, "", f"the reference system of {self.whose}, {self.crs}", raster.crs)
         if at is not None or offset is None or (terrain and self.lower is None):
             x, z = at or (0.0, 0.0)
             offset = float(x) - raster.corner[0], float(z) - raster.corner[1]

@@ -13,6 +13,7 @@ from rasterio.warp import transform as reprojected
 from shapely import Polygon
 
 from datasets.errors import naming, require
+from datasets.exchange.rasters import known_system
 from datasets.files import file_size, reading
 
 LARGEST_LAYERS = 2**28  # bytes of a file
@@ -92,12 +93,14 @@ def shapes_of(path: Path, layer: str, crs: str | None, what: str) -> Iterator[Sh
         places = shapely.from_wkb(shapes)
     if len(places) == 0:
         return
-    system, bounds = described["crs"], np.abs(shapely.total_bounds(places))
+    system, bounds = described["crs"], shapely.total_bounds(places)
     degrees = system is not None and CRS.from_user_input(system).is_geographic
     unnamed = crs is None and path.suffix.lower() in (".geojson", ".json")
-    if degrees and (unnamed or bool((bounds > MOST_DEGREES).any())):
-        system, degrees = None, False
-    require(crs is not None or not degrees, "", "metres, as the map without a reference system", "degrees")
+    if degrees and (unnamed or bool((np.abs(bounds) > MOST_DEGREES).any())):
+        system = None
+    if system is not None and crs is None and np.isfinite(bounds).all():
+        # Beside a map without a reference system, coordinates count as metres.
+        known_system(system, "", (0.5 * (bounds[:2] + bounds[2:])).tolist())
     if system is not None and crs is not None and system != crs:
         with reading(path, f"coordinates of {system} that lie in {crs}"):
             places = shapely.transform(places, lambda rows: projected(rows, system, crs))

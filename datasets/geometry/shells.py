@@ -38,11 +38,14 @@ def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, In
     require(opened == odd == 0, key, "a closed surface", f"one with {fault}")
     body = manifold(vertices, triangles)
     require(body.status() == Error.NoError, key, "a closed surface whose triangles all face the same way")
-    if body.volume() < 0.0:
+    shells = sorted(body.decompose(), key=lambda shell: -abs(shell.volume()))
+    # The largest is none within another one.
+    if shells and shells[0].volume() < 0.0:
         triangles = triangles[:, ::-1].copy()
         body = manifold(vertices, triangles)
-    require(body.volume() > 0.0, key, "a surface that encloses a volume", "one that does not")
-    shells = sorted(body.decompose(), key=lambda shell: -abs(shell.volume()))
+        shells = sorted(body.decompose(), key=lambda shell: -abs(shell.volume()))
+    nothing = "a surface that encloses a volume", "one that does not"
+    require(bool(shells) and shells[0].volume() > 0.0, key, *nothing)
     if len(shells) == 1:
         return vertices, triangles
     united = Manifold()
@@ -54,6 +57,7 @@ def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, In
         turned = manifold(np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts)[:, ::-1])
         buried = (united ^ turned).volume() > (1.0 - SHARED) * turned.volume()
         united = united - turned if buried else united + turned
+    require(united.volume() > 0.0, key, *nothing)
     if abs(united.volume() - body.volume()) <= SHARED * united.volume():
         return vertices, triangles
     volumes = f"{united.volume():.6g} m^3 in place of {body.volume():.6g}"

@@ -18,7 +18,7 @@ import tomli_w
 from numpy.typing import NDArray
 
 from datasets.errors import InputError, OutOfRange, naming, require, suggestion
-from datasets.exchange.scene_files import with_files
+from datasets.exchange.scene_files import file_of, with_files
 from datasets.files import read_toml, write_text
 from datasets.scene import Scene
 from datasets.schema import changed, from_mapping
@@ -63,15 +63,15 @@ def read_scene(name: str | Path) -> Scene:
 
 def scene_from(data: dict[str, Any], folder: Path) -> Scene:
     """The scene of a TOML file's tables; paths in them are relative to `folder`. Raises InputError."""
-    data = with_files(data, folder)
-    if not isinstance(data.get("domain"), dict) or data["domain"].get("origin") is None:
-        return from_mapping(Scene, data)
+    whole = with_files(data, folder)
+    origin = whole["domain"].get("origin") if isinstance(whole.get("domain"), dict) else None
     try:
-        return from_mapping(Scene, moved(data, -np.array(data["domain"]["origin"], np.float64)))
+        return from_mapping(Scene, whole if origin is None else moved(whole, -np.array(origin, np.float64)))
     except OutOfRange as error:
-        if not error.key.startswith(tuple(PLACES)):
-            raise
-        raise InputError(f"{error.message}; lengths count from domain.origin here", key=error.key) from None
+        placed, file = origin is not None and error.key.startswith(tuple(PLACES)), file_of(data, error.key)
+        message = f"{error.message}; lengths count from domain.origin here" if placed else error.message
+        kind = InputError if placed else OutOfRange
+        raise kind(message, key=error.key, where=str(folder / file) if file else error.where) from None
 
 
 def moved(data: dict[str, Any], by: NDArray[np.float64]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -30,7 +30,7 @@ from datasets.exchange.points import ENDINGS, read_points
 from datasets.exchange.rasters import Raster, read_raster, same_system
 from datasets.flow.trajectory import Trajectory
 from datasets.geometry.ground import elevation, slopes_in_plan
-from datasets.maps import BETWEEN, FAST, map_corner
+from datasets.maps import BETWEEN, FAST, MEASURED, map_corner
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats, Grid
 from datasets.scene.parts import Length
@@ -78,11 +78,11 @@ def volume_over(grid: Grid, positions: Tensor, volumes: Tensor) -> Tensor:
     return totals
 
 
-def factors(scene: Scene, grid: Grid, direction: str) -> Floats:
-    """f of each cell of `grid`, shape [K]; `direction` is normal or vertical."""
+def factors(scene: Scene, grid: Grid, direction: str | None) -> Floats:
+    """f of each cell of `grid`, shape [K]; `direction` is vertical or normal, which it is where None."""
     slopes = [slope.ravel() for slope in slopes_in_plan(scene, grid)]
     upright = 1.0 / np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
-    if direction == "normal" or scene.gravity == 0.0:
+    if direction != "vertical" or scene.gravity == 0.0:
         return np.asarray(upright)
     along, down, _ = scene.gravity_vector
     return np.asarray(scene.gravity / -(down - along * slopes[0]))
@@ -142,7 +142,9 @@ class ThicknessSettings(ObservationSettings):
     coordinates of the scene."""
     cell: Length | None = None  # for a survey, a twin or a trajectory: edge of the cells [m]; default: the scene's
     peak: bool = False  # whether thicknesses are the largest over time instead of the deposit's
-    direction: Literal["normal", "vertical"] = "normal"  # how they are measured: normal to the ground or along gravity
+    direction: Literal["normal", "vertical"] | None = None
+    """How thicknesses are measured: normal to the ground or along gravity; default: as a map of Talus says, else
+    normal."""
     length: Length | None = None
     """Correlation length of their errors in plan [m]: exp(-distance / length); default: independent."""
 
@@ -164,21 +166,26 @@ class ThicknessSettings(ObservationSettings):
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         plan_sides(scene)
-        path, (corner, crs) = folder / str(self.file), map_corner(scene)
+        path, (corner, crs), direction = folder / str(self.file), map_corner(scene), self.direction
         with naming(path):
             if path.suffix.lower() in ENDINGS:
                 cut, values = self.surveyed(scene, path)
             else:
                 raster = read_raster(path)
                 require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
+                # In a tilted box our own maps are along neither.
+                mapped = MEASURED.get(raster.description) if scene.slope_deg == 0.0 else None
+                fits = mapped is None or direction in (None, mapped)
+                require(fits, "direction", f"{mapped}, as this map of Talus is measured", direction)
+                direction = direction or mapped
                 cut, values = in_blocks(raster, corner, scene)
             grid = cut.grid
             if released is not None and not self.peak:
-                volume = float(np.nansum(values / factors(scene, grid, self.direction)) * math.prod(grid.spacing))
+                volume = float(np.nansum(values / factors(scene, grid, direction)) * math.prod(grid.spacing))
                 most = TOO_MUCH * released * scene.domain.size[2]
                 expected = f"a volume of at most {most:.4g} m^3, twice the released one"
                 require(volume <= most, "", expected, f"{volume:.4g}")
-            return self.measured(scene, cut, values)
+            return replace(self, direction=direction).measured(scene, cut, values)
 
     def surveyed(self, scene: Scene, path: Path) -> tuple["Blocks", Values]:
         """Cells, and the thickness [m] above the ground in each cell [K] from the points of a survey.

@@ -12,8 +12,10 @@ from rasterio.transform import Affine
 
 from datasets import Scene, read_scene
 from datasets.command_line import run
+from datasets.exchange import rasters
 from datasets.exchange.rasters import read_raster
-from datasets.exchange.vectors import read_polygons
+from datasets.exchange.vectors import Feature, read_polygons
+from datasets.maps import KINDS
 from datasets.scene.particles import initial_particles, mass_volumes
 from datasets.site import command, site
 from tests.datasets.exchange.test_scene_files import write_raster
@@ -40,6 +42,14 @@ def dem(folder: Path, *, hole: bool = False, around: bool = False) -> Path:
     place = Affine(5.0, 0.0, EAST, 0.0, -5.0, NORTH + 200.0)
     write_raster(folder / "dem.tif", rows, "EPSG:2056", transform=place)
     return folder / "dem.tif"
+
+
+def features(folder: Path, shapes: list[shapely.Polygon], **attributes: list[float]) -> list[Feature]:
+    """Polygons with attributes, as read from a file."""
+    geometry, values = np.array(shapely.to_wkb(shapes)), [np.array(column) for column in attributes.values()]
+    options = {"geometry_type": "Polygon", "crs": "EPSG:2056"}
+    pyogrio.raw.write(folder / "release.gpkg", geometry, values, [*attributes], **options)
+    return read_polygons(folder / "release.gpkg", "EPSG:2056")
 
 
 def made(folder: Path, *flags: str, shape: shapely.Geometry = FIELD, **holes: bool) -> Scene:
@@ -100,10 +110,11 @@ def test_releases_smaller_than_a_cell_and_thinner_than_a_particle(tmp_path: Path
     rows = np.tile(UP - 0.3 * 25.0 * np.arange(40), (40, 1))
     write_raster(tmp_path / "dem.tif", rows, "EPSG:2056", transform=Affine(25.0, 0.0, EAST, 0.0, -25.0, NORTH + 1000.0))
     spot = shapely.box(*(base + 500.0 + side * edge for side in (-0.5, 0.5) for base in (EAST, NORTH)))
-    features = read_polygons(written(tmp_path / "release.gpkg", spot), "EPSG:2056")
-    table = site(read_raster(tmp_path / "dem.tif"), features, **BED | {"thickness": thick, "cell": None, "slope": 0.35})
+    release = read_polygons(written(tmp_path / "release.gpkg", spot), "EPSG:2056")
+    table = site(read_raster(tmp_path / "dem.tif"), release, **BED | {"thickness": thick, "cell": None, "slope": 0.35})
     (mass,), cell = table["masses"], table["domain"]["cell"]
-    assert np.mean(mass["thickness"]) == pytest.approx(thick * math.hypot(1.0, 0.3), rel=1e-4)
+    thickness = np.array(mass["thickness"])
+    assert np.mean(thickness[thickness > 0.0]) == pytest.approx(thick * math.hypot(1.0, 0.3), rel=1e-4)
     assert edge**2 / (0.5 * cell) ** 2 < 3.0e5
 
 
@@ -130,6 +141,14 @@ def test_a_thickness_by_raster(tmp_path: Path) -> None:
     assert mass_volumes(upright)[0] == pytest.approx(mass_volumes(scene)[0] * math.cos(SLOPE), rel=1e-3)
 
 
+def test_a_thickness_of_our_own_maps_is_vertical(tmp_path: Path) -> None:
+    """A deposit that is released again."""
+    what, values = KINDS["thickness"][0], np.full((100, 40), 2.0)
+    rasters.write_raster(tmp_path / "own.tif", values, 5.0, (EAST, NORTH), "EPSG:2056", what, "m")
+    released = made(tmp_path, "--cell", "2", "--thickness", str(tmp_path / "own.tif"))
+    assert mass_volumes(released) == pytest.approx([2.0 * 1600.0])
+
+
 @pytest.mark.parametrize("west", [41, 43])
 def test_a_thickness_on_finer_cells_than_the_terrain(tmp_path: Path, west: int) -> None:
     """A spot of 2 x 2 m, 2 m thick, around a post of the terrain or between two: it has its own volume."""
@@ -142,15 +161,64 @@ def test_a_thickness_on_finer_cells_than_the_terrain(tmp_path: Path, west: int) 
 
 def test_ground_that_two_polygons_share_counts_once(tmp_path: Path) -> None:
     """By the thickness of the first: the second is cut, here to 20 of 40 m."""
-    folder = tmp_path / "release.gpkg"
     shapes = [FIELD, shapely.affinity.translate(FIELD, 20.0)]
-    values = [np.array([3.0, 1.5])]
-    geometry = np.array([shapely.to_wkb(shape) for shape in shapes])
-    pyogrio.raw.write(folder, geometry, values, ["thickness"], geometry_type="Polygon", crs="EPSG:2056")
     with pytest.warns(UserWarning, match=r"polygons of the release share 800 m\^2, which count once"):
-        table = site(read_raster(dem(tmp_path)), read_polygons(folder, "EPSG:2056"), **BED)
-    volumes = [np.mean(mass["thickness"]) * shapely.Polygon(mass["outline"]).area for mass in table["masses"]]
+        table = site(read_raster(dem(tmp_path)), features(tmp_path, shapes, thickness=[3.0, 1.5]), **BED)
+    thick = [np.array(mass["thickness"]) for mass in table["masses"]]
+    areas = [shapely.Polygon(mass["outline"]).area for mass in table["masses"]]
+    volumes = [values[values > 0.0].mean() * area for values, area in zip(thick, areas, strict=True)]
     assert np.array(volumes) * math.cos(SLOPE) == pytest.approx([3.0 * 1600.0, 1.5 * 800.0], rel=1e-5)
+
+
+def test_strips_of_overlapping_polygons_are_dropped(tmp_path: Path) -> None:
+    """The same polygon drawn twice leaves 1 cm along two sides, in which no particle has a place."""
+    shapes = [FIELD, shapely.affinity.translate(FIELD, 0.01, 0.01)]
+    both = (
+        pytest.warns(UserWarning, match=said)
+        for said in ("which count once", r"than 1 m, 0\.8 m\^2, which are dropped")
+    )
+    with next(both), next(both):
+        table = site(read_raster(dem(tmp_path)), features(tmp_path, shapes, thickness=[1.5, 1.5]), **BED)
+    assert len(table["masses"]) == 1
+
+
+def test_a_thickness_is_the_first_attribute_with_a_value(tmp_path: Path) -> None:
+    """Polygon by polygon; NULL is none."""
+    shapes = [FIELD, shapely.affinity.translate(FIELD, 50.0)]
+    release = features(tmp_path, shapes, thickness=[np.nan, 1.5], d0=[2.0, 3.0])
+    table = site(read_raster(dem(tmp_path)), release, **BED | {"vertical": True})
+    assert [mass["thickness"] for mass in table["masses"]] == [2.0, 1.5]
+
+
+def test_vertices_in_one_place_are_one(tmp_path: Path) -> None:
+    """10 nm are less than the decimals of a scene."""
+    corners = [*FIELD.exterior.coords]
+    near = shapely.Polygon([*corners[:2], (corners[1][0] - 1.0e-8, corners[1][1]), *corners[2:]])
+    assert mass_volumes(made(tmp_path, "--vertical", shape=near)) == pytest.approx([2400.0])
+
+
+@pytest.mark.parametrize("high", [(150, 20), (25, 50)], ids=["beyond the release", "one cell of it"])
+def test_the_cell_is_half_the_mean_thickness(tmp_path: Path, high: tuple[int, int]) -> None:
+    """2 m in cells of 2 m, and 20 m in one of them."""
+    rows = np.full((100, 250), 2.0)
+    rows[high[::-1]] = 20.0
+    place = Affine(2.0, 0.0, EAST, 0.0, -2.0, NORTH + 200.0)
+    write_raster(tmp_path / "depth.tif", rows, "EPSG:2056", transform=place)
+    options = {"thickness": read_raster(tmp_path / "depth.tif"), "cell": None, "vertical": True}
+    table = site(read_raster(dem(tmp_path)), features(tmp_path, [FIELD]), **BED | options)
+    assert table["domain"]["cell"] in (1.0, 1.1)
+    assert np.max(table["masses"][0]["thickness"]) == (20.0 if high[0] == 25 else 2.0)
+
+
+def test_the_box_holds_the_ground_between_posts(tmp_path: Path) -> None:
+    """On posts 30 m apart the ground at the upper edge of the release is 12 m above the highest post in it."""
+    x = 30.0 * (np.arange(60) + 0.5)
+    rows = np.tile(UP + 0.84 * np.maximum(1000.0 - x, 0.0), (20, 1))
+    write_raster(tmp_path / "dem.tif", rows, "EPSG:2056", transform=Affine(30.0, 0.0, EAST, 0.0, -30.0, NORTH + 600.0))
+    release = written(tmp_path / "release.gpkg", shapely.box(EAST + 180.0, NORTH + 250.0, EAST + 260.0, NORTH + 330.0))
+    arguments = [tmp_path / "dem.tif", "--release", release, "--out", tmp_path / "site.toml", "--cell", "0.7"]
+    assert run(command, "site", list(map(str, arguments))) == 0
+    assert mass_volumes(read_scene(tmp_path / "site.toml")) == pytest.approx([1.5 * math.hypot(1.0, 0.84) * 6400.0])
 
 
 def test_a_bed_by_rasters(tmp_path: Path) -> None:

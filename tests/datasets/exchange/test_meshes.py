@@ -1,5 +1,6 @@
 """Meshes of any writer: corners with normals and texture, marks of an encoding, shells, damage."""
 
+import warnings
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -77,6 +78,7 @@ end_header
         ("cube.ply", PLY.format(2_000_000_000), "a readable mesh, its reader broke off"),
         ("cube.ply", PLY.replace("3 0 1 {0}\n", ""), "a mesh with triangles"),
         ("cube.vtu", "<VTKFile/>", ""),
+        ("cube.off", "hello", "a readable mesh, Expected the first line to be `OFF`"),
     ],
 )
 def test_damaged_meshes_are_one_line(tmp_path: Path, name: str, text: str, said: str) -> None:
@@ -90,6 +92,28 @@ def test_other_formats(tmp_path: Path, name: str, kind: str) -> None:
     vertices, triangles = sphere((0.0, 0.0, 0.0), 1.0, 32)
     meshio.Mesh(vertices, [("triangle", triangles.astype(np.int32))]).write(tmp_path / name, file_format=kind)
     assert volume_of(tmp_path / name) == pytest.approx(4.0 / 3.0 * np.pi, rel=0.03)
+
+
+def test_a_mesh_of_gmsh() -> None:
+    """As Gmsh 4.13 writes it (format 4.1, no physical groups), with the points, lines and triangles of its geometry."""
+    assert volume_of(Path(__file__).with_name("tetrahedron.msh")) == pytest.approx(1.0 / 6.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(("name", "turn"), [("corner.vtu", 1), ("corner.vtk", -1)])
+def test_only_cells_of_the_highest_dimension_count(tmp_path: Path, name: str, turn: int) -> None:
+    """The triangles beside a tetrahedron are its boundary once more, whichever way they face."""
+    corners, faces = np.eye(4, 3), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])[:, ::turn]
+    corners[3] = 0.0
+    cells = [("vertex", [[0]]), ("line", [[0, 1]]), ("triangle", faces), ("tetra", [[3, 0, 1, 2]])]
+    meshio.Mesh(corners, cells).write(tmp_path / name)
+    with warnings.catch_warnings(action="error"):
+        assert volume_of(tmp_path / name) == pytest.approx(1.0 / 6.0, rel=1e-6)
+
+
+def test_coarse_coordinates_of_single_precision_are_said(tmp_path: Path) -> None:
+    stl(tmp_path / "wall.stl", CUBE + np.array([2_600_000.0, 1_000.0, 1_200_000.0]), binary=True)
+    with pytest.warns(UserWarning, match=r"wall.stl: single precision has steps of 0.25 .* which is 1 long"):
+        read_mesh(tmp_path / "wall.stl")
 
 
 def stl(path: Path, *corners: np.ndarray, apart: float = 0.0, binary: bool = False) -> None:
@@ -120,10 +144,19 @@ def test_near_vertices_are_merged(tmp_path: Path, apart: float, edge: float, bin
         (CUBE + np.array([1.0, 0.0, 0.0]), 2.0, False),
         (CUBE + np.array([1.0, 1.0, 0.0]), 2.0, False),
         (CUBE + np.array([3.0, 0.0, 0.0]), 2.0, False),
+        ((CUBE - np.array([2.0, 0.0, 0.0]))[[3, 2, 1, 0, 7, 6, 5, 4]], 2.0, True),
         (0.5 * CUBE + 0.25, 1.0, True),
         ((0.5 * CUBE + 0.25)[[3, 2, 1, 0, 7, 6, 5, 4]], 0.875, False),
     ],
-    ids=["half over each other", "touching", "at an edge", "apart", "one in the other", "a cavity"],
+    ids=[
+        "half over each other",
+        "touching",
+        "at an edge",
+        "apart",
+        "apart, inside out",
+        "one in the other",
+        "a cavity",
+    ],
 )
 def test_what_shells_of_a_mesh_share_counts_once(tmp_path: Path, second: np.ndarray, volume: float, said: bool) -> None:
     stl(tmp_path / "blocks.stl", CUBE, second)

@@ -336,6 +336,18 @@ def test_solids_that_are_refused(tmp_path: Path, text: str, words: str) -> None:
     refused(scene, tmp_path, whole, said=words)
 
 
+@pytest.mark.parametrize(
+    ("table", "key"), [(TERRAIN + "file", "solids[0].points[1]"), ("[water]\ntable", "water.table")]
+)
+@pytest.mark.parametrize("origin", ["", ", origin = [0.0, 0.0]"])
+def test_what_is_wrong_with_a_line_names_its_file(tmp_path: Path, table: str, key: str, origin: str) -> None:
+    (tmp_path / "line.csv").write_text("x,y\n2,0.1\n1,0.1\n0,0.1\n")
+    plane = PLANE.replace("30.0", "30.0, saturated = true").replace("cell = 0.05", f"cell = 0.05{origin}")
+    text = plane + BODY + f'{table} = "line.csv"\n'
+    error = refused(scene, tmp_path, text)
+    assert (error.where, error.key) == (str(tmp_path / "line.csv"), key)
+
+
 @pytest.mark.parametrize("name", ["solids.stl", "solids.ply", "solids.vtu"])
 def test_the_surface_of_solids_is_written_as_a_mesh(tmp_path: Path, name: str) -> None:
     loaded = scene(tmp_path, SPACE + BODY_3D + "[[solids]]\nlower = [0.5, 0.2, 0.2]\nsize = [0.4, 0.3, 0.2]\n")

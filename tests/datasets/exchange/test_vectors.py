@@ -51,7 +51,19 @@ def test_degrees_come_into_the_system_of_the_map(tmp_path: Path, name: str) -> N
     (feature,) = read_polygons(written(tmp_path / name, degrees, "EPSG:4326"), SWISS)
     assert feature.polygon.symmetric_difference(FIELD).area < 2.0  # GDAL writes degrees to 1 cm
     if name.endswith("kml"):
-        refused(read_polygons, tmp_path / name, None, said="got degrees")
+        refused(read_polygons, tmp_path / name, None, said="metres, such as 'EPSG:2056', got 'EPSG:4326'")
+
+
+@pytest.mark.parametrize(("crs", "said"), [("EPSG:2263", "got 'EPSG:2263'"), ("EPSG:3857", "where one is 0.681 m")])
+def test_a_file_beside_a_map_without_a_system_is_in_metres_on_the_ground(tmp_path: Path, crs: str, said: str) -> None:
+    """Feet of New York; Web Mercator at 47 degrees, where a release would have 2.16 times its area."""
+    shape = shapely.box(1_000_000.0, 5_942_074.0, 1_000_030.0, 5_942_104.0)
+    refused(read_polygons, written(tmp_path / "field.gpkg", shape, crs), None, said=said)
+
+
+def test_a_file_beside_a_map_without_a_system(tmp_path: Path) -> None:
+    (feature,) = read_polygons(written(tmp_path / "field.gpkg", FIELD), None)
+    assert feature.polygon.bounds == FIELD.bounds
 
 
 def test_coordinates_without_a_system_are_those_of_the_map(tmp_path: Path) -> None:

@@ -149,7 +149,7 @@ def test_rasters_lie_where_they_say(tmp_path: Path) -> None:
         ("origin = [2600000.0, 2000.0, 1200000.0]", 'origin = "here"', "domain.origin: expected"),
         ("1200000.0]\n", '1200000.0]\ncrs = "EPSG:4326"\n', "domain.crs: expected a projected coordinate system"),
         ("1200000.0]\n", '1200000.0]\ncrs = "Bern"\n', "domain.crs: expected a projected coordinate system"),
-        ("1200000.0]\n", '1200000.0]\ncrs = "EPSG:25832"\n', "masses[0].thickness: expected the reference system"),
+        ("1200000.0]\n", '1200000.0]\ncrs = "EPSG:25832"\n', "expected the reference system of domain.crs, EPSG:25832"),
         ("origin = [2600000.0, 2000.0, 1200000.0]", 'crs = "EPSG:2056"', "domain.crs: expected an origin beside it"),
         ("[2600000.0, 2000.0", "[2700000.0, 2000.0", "masses[0]: expected a layer that lies in the box"),
         ('"dem.asc"\n', '"dem.asc"\ncorner = [0.0, 0.0]\n', "solids[0].corner: expected none beside domain.origin"),

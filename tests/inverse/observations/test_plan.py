@@ -11,7 +11,7 @@ import torch
 
 from datasets import Domain, Mass, Scene, Solid, Trajectory
 from datasets.exchange.rasters import write_raster
-from datasets.maps import maps_of
+from datasets.maps import KINDS, maps_of
 from inverse.observations import OutlineSettings, ThicknessSettings, plan
 from inverse.observations.outline import Boundary
 from inverse.problem import read_problem
@@ -122,6 +122,19 @@ def test_a_raster_on_the_map_is_the_target_that_its_flow_makes(cell: float, tmp_
     assert bare.any()
     assert target.deviation[bare] == pytest.approx(0.1 * target.values[~bare].mean())
     assert places.max() < 2.4 + 0.25 * 1.6 + 2.0 * grid.spacing[0]
+
+
+@pytest.mark.parametrize(("name", "direction"), [("depth", "vertical"), ("normal_depth", "normal")])
+def test_our_own_maps_say_how_they_are_measured(name: str, direction: str, tmp_path: Path) -> None:
+    made = scene(PLANE, origin=True)
+    values = getattr(maps_of(layer(made), 0.2), name)
+    write_raster(tmp_path / "own.tif", values, 0.2, CORNER, "EPSG:2056", KINDS[name][0], "m")
+    settings = ThicknessSettings(file="own.tif", noise=0.01, peak=True)
+    target = settings.read(made, tmp_path, None)
+    np.testing.assert_allclose(target.observation.observe(layer(made)), target.values, atol=1e-6)
+    other = {"vertical": "normal", "normal": "vertical"}[direction]
+    wrong = dataclasses.replace(settings, direction=other)
+    refused(wrong.read, made, tmp_path, None, said=f"direction: expected {direction}, as this map of Talus is measured")
 
 
 def test_what_is_no_raster_of_this_flow_is_refused(tmp_path: Path) -> None:
