@@ -167,9 +167,9 @@ def layer(
     vertical: bool,
     covered: NDArray[np.bool_],
 ) -> Part:
-    """A polygon as a layer. ground: elevations of the raster with holes filled [m], [X, Z]; thickness: [m], a number, or
-    a raster, whose cells the layer then takes over; covered: [X, Z], in which the posts whose cells intersect the
-    polygon are marked."""
+    """A polygon as a layer. ground: elevations of the raster, holes filled [m], [X, Z]; thickness: a number [m] or a
+    raster, whose cells the layer then takes over; covered: [X, Z], in which the posts whose cells intersect the polygon
+    are marked."""
     box = polygon.bounds
     for axis, spacing, low, high in zip((raster.x, raster.z), raster.spacing, box[:2], box[2:], strict=True):
         within = axis[0] - 0.5 * spacing <= low and high <= axis[-1] + 0.5 * spacing
