@@ -30,7 +30,7 @@ from datasets.scene.particles import Particles, initial_particles
 from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.features import drags_of
 from mpm.arrays.layout import Property
-from mpm.arrays.properties import properties_at, properties_of, roughest, settings_row
+from mpm.arrays.properties import IN_FLIGHT, initial_gaps, properties_at, properties_of, roughest, settings_row
 from mpm.initial.slope import begins_as_slope
 from mpm.initial.stress import initial_tractions
 from mpm.solids.obstacles import face_lines, farthest, holds_at, limited, obstacles_in
@@ -315,14 +315,19 @@ def gradient_of(tape: Tape, index: int, adj: dict[str, Any]) -> Gradient:
     def numbers(first: int, count: int) -> Floats:
         return tape.vectors(adj["adjoints"], first, count)[here].astype(np.float64)
 
+    particles, properties = tape.batch.particles[index], numbers(features.state.properties, features.columns)
+    if features.volume_correction:
+        # The initial gap of a body in flight is proportional to its bulk modulus.
+        opened = IN_FLIGHT * (initial_gaps(scene, particles) > 0.0) * numbers(features.state.gap, 1)
+        properties[:, [Property.LAME, Property.SHEAR]] += opened * (1.0, 2.0 / 3.0)
     return Gradient(
         scene=scene,
-        particles=tape.batch.particles[index],
+        particles=particles,
         positions=numbers(0, size),
         velocities=numbers(features.state.velocity, size),
         velocity_gradients=numbers(features.state.affine, size * size).reshape(-1, size, size),
         stress=numbers(features.state.stress, features.stresses),
-        properties=numbers(features.state.properties, features.columns),
+        properties=properties,
         settings=adj["settings"][index].copy(),
         faces=adj["face_adjoints"][faces],
         cut=float(adj["cut"][index]),

@@ -143,9 +143,9 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
     opened, closed = 0.0 * stress[0], 0.0 * stress[0]
-    tension = strengths[3] - arrays.settings[scene, Setting.LEAST_TENSION]
     if ti.static(features.volume_correction):
         if is_loose(block, arrays):
+            tension = strengths[3] - arrays.settings[scene, Setting.LEAST_TENSION]
             opened = opened_of(scene, block, scratch, tension, lame + shear * (2.0 / 3.0), dt, arrays)
             closed = arrays.state[first + features.state.gap] - opened
     if ti.static(features.wet):
@@ -163,6 +163,7 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
             shear_traction_step(scene, block, scratch, dt, shear, density, arrays)
     if ti.static(features.volume_correction):
         mean = (new[0] + new[1] + new[2]) / 3.0
+        tension = strengths[3] - arrays.settings[scene, Setting.LEAST_TENSION]
         gap = kept_gap(new[features.stresses + 1], mean, tension, lame + shear * (2.0 / 3.0))
         arrays.state[first + features.state.gap] = arrays.settings[scene, Setting.CORRECTED] * gap
     if ti.static(features.strained):
