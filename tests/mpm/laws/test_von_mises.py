@@ -10,7 +10,7 @@ from datasets import Mass, Material, Scene
 from datasets.scene.grid_field import Field
 from datasets.scene.particles import initial_particles
 from datasets.schema import from_mapping
-from mpm import LAST, safety_factor, simulate
+from mpm import LAST, Recording, safety_factor, simulate
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import Precision
 from mpm.initial.stress import initial_tractions
@@ -147,3 +147,16 @@ def test_the_stress_at_the_start_is_within_yield() -> None:
 def test_a_cut_stands_up_to_taylors_height() -> None:
     """rho g H / s_u of 3.83 by a circle (Taylor 1937), 3.77 by better bounds: found within a tenth."""
     assert safety_factor(cut(3.0, 16), tolerance=0.02).factor * 3.0 == pytest.approx(3.8, rel=0.1)
+
+
+def test_a_column_flows_within_yield() -> None:
+    """Of a tenth of its weight as strength, after a tenth of a second."""
+    soft = Material(law="von-mises", friction_deg=0.0, constants={"strength": 350.0}, young=1.0e6)
+    flow = simulate(
+        scene_of(COLUMN, material=soft, duration=0.1, frame_dt=0.05), record=Recording(fields=True), threads=1
+    )
+    full = tensor(np.asarray(flow.stress)[-1].astype(np.float64))
+    deviator = full - np.trace(full, axis1=1, axis2=2)[:, None, None] / 3.0 * np.eye(3)
+    tau = np.sqrt(0.5 * (deviator**2).sum(axis=(1, 2)))
+    assert 0.9 < np.quantile(tau, 0.9) / 350.0 < 1.001
+    assert flow.positions[-1, :, 1].mean() < flow.positions[0, :, 1].mean() - 0.005
