@@ -9,8 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from datasets.errors import InputError
-from datasets.maps import least_thickness
-from datasets.scene import Scene
+from datasets.scene import Mass, Scene
 from inverse.answer import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
@@ -253,8 +252,16 @@ def other_cells(scene: Scene) -> tuple[float, ...]:
     than `THIN` cells, larger cells do not show the error: for a slide a quarter of a cell thick, the change on larger
     cells has the other sign than the change on smaller cells.
     """
-    thin = min(map(least_thickness, scene.masses)) < THIN * scene.domain.cell
+    thin = min(map(mean_thickness, scene.masses)) < THIN * scene.domain.cell
     return (HALF,) if scene.dimension == 2 else (HALF, TWICE) if thin else (TWICE,)
+
+
+def mean_thickness(mass: Mass) -> float:
+    """Thickness of a layer [m], its mean where there is any; of another body its height."""
+    if mass.kind != "layer":
+        return mass.size[1]
+    given = np.array(mass.thickness)
+    return float(given[given > 0.0].mean())
 
 
 def is_unreachable(posterior: Posterior) -> bool:

@@ -5,6 +5,7 @@ import json
 import math
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,8 +15,8 @@ import h5py
 import numpy as np
 import pytest
 
-from datasets import Mass, Trajectory
-from datasets.errors import WorkFailed
+from datasets import Mass, Scene, Trajectory
+from datasets.errors import InputError, WorkFailed
 from datasets.lock import locked
 from inverse import Parameter, Prior, Problem, TargetSettings, inference_data, plot, report, save
 from inverse.answer import Purpose, Verdict
@@ -24,6 +25,7 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.search.inference import begun, narrowed
 from inverse.settings import Surrogate
 from tests.inverse.test_fields import files
+from tests.scenes import scene_of
 from tests.validation.loop.flows import FRONT, WIDTH, Case, FakeMpm, Folded, Formula, TwinAngles, layers, length, wedge
 from validation.loop import verdict
 from validation.loop.solve import print_outcome, solve
@@ -219,6 +221,43 @@ def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> 
     assert 0.8 < abs(measured.unknowns["friction_deg"] - 24.0) < measured.certainty["friction_deg"] < 4.0
     # By runs on half the cells, which change half as much as all of it.
     assert measured.answers[0].fit.cells == pytest.approx(0.02 * true, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("thickness", "factors"),
+    [(0.1, (2.0,)), (0.05, (0.5, 2.0)), (((0.001, 0.3), (0.0, 0.2)), (2.0,)), (((0.05, 0.09), (0.0, 0.0)), (0.5, 2.0))],
+)
+def test_the_error_of_the_cells_of_a_thin_layer_is_seen_on_smaller_ones(
+    thickness: Any, factors: tuple[float, ...]
+) -> None:
+    """Of one of less than two cells of 0.05 m, in the mean of where there is any."""
+    grid = {} if isinstance(thickness, float) else {"origin": (0.25, 0.25), "spacing": (0.5, 0.5)}
+    scene = scene_of(Mass(kind="layer", thickness=thickness, **grid), size=(1.0, 1.0, 1.0), cell=0.05)
+    assert verdict.other_cells(scene) == factors
+    assert verdict.other_cells(scene_of()) == (0.5,)
+
+
+@pytest.mark.parametrize("fits", [True, False])
+def test_larger_cells_where_smaller_ones_take_too_much_memory(fits: bool) -> None:
+    scene = scene_of(Mass(kind="layer", thickness=0.05), size=(1.0, 1.0, 1.0), cell=0.05)
+    made: list[list[float]] = []
+
+    def compared(_: Any, scenes: Sequence[Scene], purpose: Purpose) -> tuple[str, ...]:
+        made.append([each.domain.cell for each in scenes])
+        if scenes[0].domain.cell < 0.05 and not fits:
+            raise InputError("a run needs more memory than is free")
+        return (purpose.value,)
+
+    check = SimpleNamespace(parameters=np.zeros(1), trajectory=SimpleNamespace(scene=scene))
+    task: Any = SimpleNamespace(
+        problem=SimpleNamespace(scene_at=lambda _: scene),
+        target=SimpleNamespace(cell=None),
+        on_cells=lambda scene, factor: scene.with_cell(factor * scene.domain.cell),
+        compared=compared,
+    )
+    answer: Any = SimpleNamespace(checks=(check, check))
+    assert verdict.on_other_cells(task, answer) == ("cells",)
+    assert made == [[0.025]] if fits else [[0.025], [0.1, 0.1]]
 
 
 def test_fields_are_left_to_the_adjoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
