@@ -228,8 +228,9 @@ def cells_error(
 ) -> dict[str, float]:
     """d of each number, from runs at the medians; empty if the box does not divide into other cells."""
     edge = scene.domain.cell
-    for other in (factor * edge for factor in other_cells(scene)):
-        seeds = {edge: CHECKS, other: 1 if other < edge and scene.dimension == 3 else CHECKS}
+    for factor, runs in other_cells(scene, CHECKS).items():
+        other = factor * edge
+        seeds = {edge: CHECKS, other: runs}
         try:
             scenes = [
                 at(scene.with_cell(cell), names, median, seed) for cell, count in seeds.items() for seed in range(count)

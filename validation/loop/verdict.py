@@ -233,27 +233,29 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     scene = task.problem.scene_at(location)
     if task.target.cell == scene.domain.cell:
         return ()
-    for factor in other_cells(scene):
-        # In 3D one run on half the cell size costs as much as sixteen, and scatters less.
-        checks = answer.checks[:1] if factor < 1.0 and scene.dimension == 3 else answer.checks
+    for factor, runs in other_cells(scene, len(answer.checks)).items():
         try:
             other = task.on_cells(scene, factor)
-            scenes = [replace(other, seed=check.trajectory.scene.seed) for check in checks]
+            scenes = [replace(other, seed=check.trajectory.scene.seed) for check in answer.checks[:runs]]
             return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
         except InputError:
             continue  # the box does not divide into such cells, or a run on them needs too much memory
     return ()
 
 
-def other_cells(scene: Scene) -> tuple[float, ...]:
-    """Sizes of the cells that show the error of the cells of `scene`, over the size of these, the best one first.
+def other_cells(scene: Scene, runs: int) -> dict[float, int]:
+    """Sizes of the cells that show the error of the cells of `scene`, over the size of these, the best one first, each
+    with the number of runs beside `runs` on the scene's cells.
 
     Half the size in 2D, twice the size in 3D, where half the size costs sixteen times as much. If a mass is thinner
     than `THIN` cells, larger cells do not show the error: for a slide a quarter of a cell thick, the change on larger
     cells has the other sign than the change on smaller cells.
     """
     thin = min(map(mean_thickness, scene.masses)) < THIN * scene.domain.cell
-    return (HALF,) if scene.dimension == 2 else (HALF, TWICE) if thin else (TWICE,)
+    if scene.dimension == 2:
+        return {HALF: runs}
+    # One run on half the cell size costs as much as sixteen, and scatters less.
+    return {HALF: 1, TWICE: runs} if thin else {TWICE: runs}
 
 
 def mean_thickness(mass: Mass) -> float:

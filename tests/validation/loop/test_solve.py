@@ -233,8 +233,8 @@ def test_the_error_of_the_cells_of_a_thin_layer_is_seen_on_smaller_ones(
     """Of one of less than two cells of 0.05 m, in the mean of where there is any."""
     grid = {} if isinstance(thickness, float) else {"origin": (0.25, 0.25), "spacing": (0.5, 0.5)}
     scene = scene_of(Mass(kind="layer", thickness=thickness, **grid), size=(1.0, 1.0, 1.0), cell=0.05)
-    assert verdict.other_cells(scene) == factors
-    assert verdict.other_cells(scene_of()) == (0.5,)
+    assert tuple(verdict.other_cells(scene, 3)) == factors
+    assert verdict.other_cells(scene_of(), 3) == {0.5: 3}
 
 
 @pytest.mark.parametrize("fits", [True, False])
