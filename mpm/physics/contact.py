@@ -25,14 +25,14 @@ shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma
 1993). With the particle's density rho and v_t = v_f - n (n . v_f),
 
     |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / (xi I),    I = 2 e (1 - 7/2 D^2 + 3 D^3),    D <= e / 2
-    e = min(max(2 D, phi / G(0), THINNEST), 1),    phi_p = sum_i w_ip m_i / (rho dx^dim)
+    e = min(max(2 D, phi / SHEET, THINNEST), 1),    phi_p = sum_i w_ip m_i / (rho dx^dim)
     D_p = sum_i w_ip H_i / sum_i w_ip m_i,    H_i = sum_p w_ip m_p min(d_p / h, 1)
 
 I is the integral of delta over a layer of e widths whose mean distance from the bed is D, so that a thin layer feels
-the whole drag; G(0) = 11/20 is the phi that a thin sheet finds for itself on the grid, per cell of thickness. Below e =
-THINNEST the drag fades: a single grain on the bed has no thickness. The drag acts on all particles within the width of
-the contact, whether or not they press at that moment. Deep nodes and particles stopped at a face have only Coulomb
-friction, mu times the impulse: delta already gives the whole drag.
+the whole drag; phi is the filled share of the space around a particle, which is the integral of w^2, SHEET = 11/20, per
+cell of thickness of a thin sheet. Below e = THINNEST the drag fades: a single grain on the bed has no thickness. The
+drag acts on all particles within the width of the contact, whether or not they press at that moment. Deep nodes and
+particles stopped at a face have only Coulomb friction, mu times the impulse: delta already gives the whole drag.
 
 **Deep nodes.** A node deep in a solid is in the support of only the first row of particles, which cannot balance it. It
 is held like a node behind a wall of the box (`mpm.physics.boundary`), partly by each face k that it lies behind: v <- v
@@ -51,7 +51,7 @@ from mpm.solids.face_lookup import TINY, entry_of, face_number, holds_of_node, n
 from mpm.solids.terrain import bed_hold
 
 NO_FACE = -2.0 * FIRST_FACE  # below the number of any face, as a real number
-SHEET = 0.55  # G(0): phi that a thin sheet finds for itself on the grid, per cell of thickness [-]
+SHEET = 0.55  # phi at a thin sheet, per cell of its thickness: the integral of w^2 [-]
 THINNEST = 0.1  # thickness [widths of contact] of the thinnest layer that feels the whole drag
 
 
@@ -121,7 +121,7 @@ def jump_at_contact(motion: ti.template(), stress: ti.template(), modulus, dt, d
 
 @ti.func
 def with_jump(increment: ti.template(), jump, contact: ti.template(), dimension: ti.template()):
-    """G + jump n n^T [-], both row by row."""
+    """The strain increment with that of contact, G + jump n n^T [-], both row by row."""
     return [
         increment[k] + jump * contact[Contact.NORMAL + k // dimension] * contact[Contact.NORMAL + k % dimension]
         for k in ti.static(range(dimension**2))
