@@ -12,6 +12,9 @@ settlements u in all. It also moves if they travel more than SLUMPED settlements
 
     u = rho g H^2 / (2 M),     M the constrained (oedometer) modulus.
 
+Ground behind and below a slope does not slide with it. Of much ground, the SHARE is therefore that of a part as high as
+the slope and AROUND times as long, in 3D at most as wide as long.
+
 A stable slope yields locally and comes to rest. Sand on a slope slightly flatter than its friction angle creeps by a
 few u, more on coarser cells; up to the limit it creeps less in the second half than in the first.
 
@@ -38,12 +41,14 @@ from dataclasses import dataclass
 from typing import Any, Unpack, cast
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.flow.trajectory import Trajectory
 from datasets.geometry.bodies import scene_height
+from datasets.geometry.ground import plan_axes
 from datasets.scene import Mass, Scene
-from datasets.scene.grid_field import FRICTION, Field
+from datasets.scene.grid_field import FRICTION, THICKNESS, Field
 from datasets.scene.material import Material
 from datasets.scene.parts import Water
 from datasets.scene.water import saturated
@@ -57,6 +62,8 @@ MOVED = 2.0  # least displacement of a slope that moves, in elastic settlements
 SLUMPED = 50.0  # displacement of a slope that has moved, even if it stops again
 UNHELD = 5.0  # largest displacement at half of the factor; beyond it something else than the strength fails
 SHARE = 0.05  # share of the particles that must have moved so far
+AROUND = 2.5  # length of the ground that counts, over the height of the slope
+COLUMN = 2  # cells across a column of ground in which its surface is looked up
 SETTLEMENT = 4.0e-4  # elastic settlement over the height
 FRAMES = 50  # frames of a run; the time step adapts to the speed at each
 FIRST = (0.5, 0.8, 1.25, 2.0)  # factors of the first batch; every later batch has as many
@@ -71,7 +78,7 @@ class Safety:
     stands: float  # the largest factor at which it stands
     moves: float  # the smallest at which it moves
     displacements: dict[float, float]  # factor -> displacement that a SHARE of the particles exceeds [settlements]
-    cells: float  # grid cells over the height of the bodies
+    cells: float  # grid cells over the height of the slope, or over the thickness of the masses if they are thinner
     seconds: float
 
 
@@ -79,10 +86,14 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
     """The factor of safety of a scene, to a relative `tolerance`; each batch runs len(FIRST) factors side by side.
 
     options: those of `mpm.simulate_many`, except `record`. Raises InputError for a scene without gravity, or one that
-    stands, or moves, whatever its strength. Warns in one line if the slope moves even at twice the strength.
+    stands, or moves, whatever its strength, one with a field of thickness, and for a tolerance not above 0. Warns in
+    one line if the slope moves even at twice the strength.
     """
     if scene.gravity <= 0.0:
         raise InputError("expected gravity above 0: nothing moves without it", key="gravity")
+    require(tolerance > 0.0, "tolerance", "a number above 0", tolerance)
+    uneven = any(field.quantity == THICKNESS for field in scene.fields)
+    require(not uneven, "fields", "no field of thickness beside --safety; give the layer its own thickness")
     tall = scene_height(scene)
     begin, options["record"] = time.perf_counter(), Recording(frames=FRAMES // 2)
     displacements: dict[float, float] = {}
@@ -98,7 +109,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
 
     while not (stands > 0.0 and moves <= stands * (1.0 + tolerance) ** 2):
         for factor, flow in zip(factors, flows_of(factors), strict=True):
-            first, second, whole = settlements(flow, tall)
+            first, second, whole = settlements(flow)
             displacements[factor] = whole
             if whole > SLUMPED or (whole > MOVED and second > first):
                 moving.add(factor)
@@ -114,25 +125,43 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
             steps = np.arange(1, len(FIRST) + 1) / (len(FIRST) + 1)
             factors = tuple(stands * (moves / stands) ** step for step in steps.tolist())
     (strong,) = flows_of([0.5 * stands])
-    if (moved := settlements(strong, tall)[2]) > UNHELD:
+    if (moved := settlements(strong)[2]) > UNHELD:
         said = f"moves by {moved:.0f} elastic settlements even at half of this factor, which is far too low"
         ground = "model inclined ground as a mass of stronger material, which holds single particles better"
         warnings.warn(f"the slope {said}: {ground}", stacklevel=2)
-    tried, cells = dict(sorted(displacements.items())), tall / scene.domain.cell
+    tried, cells = dict(sorted(displacements.items())), min(tall, slope_height(strong)) / scene.domain.cell
     factor, seconds = math.sqrt(stands * moves), time.perf_counter() - begin
     return Safety(factor=factor, stands=stands, moves=moves, displacements=tried, cells=cells, seconds=seconds)
 
 
-def settlements(flow: Trajectory, tall: float) -> tuple[float, ...]:
-    """Displacements that a SHARE of the particles exceeds: first half, second half, whole run [elastic settlements].
-
-    tall: H [m].
-    """
-    begun, middle, last = flow.positions
+def settlements(flow: Trajectory) -> tuple[float, ...]:
+    """Displacements that a SHARE of the particles exceeds: first half, second half, whole run [elastic settlements]."""
+    scene, (begun, middle, last) = flow.scene, flow.positions
+    around = AROUND * slope_height(flow)
+    width = [min(around, scene.domain.size[2])] if scene.dimension == 3 else []
+    near = around**2 / AROUND * math.prod(width)
+    share = SHARE * min(1.0, near / float(flow.volumes.sum()))
     return tuple(
-        float(np.quantile(np.linalg.norm(end - start, axis=1), 1.0 - SHARE)) / (SETTLEMENT * tall)
+        float(np.quantile(np.linalg.norm(end - start, axis=1), 1.0 - share)) / (SETTLEMENT * scene_height(scene))
         for start, end in ((begun, middle), (middle, last), (begun, last))
     )
+
+
+def slope_height(flow: Trajectory) -> float:
+    """Height of the slope [m] against gravity: from the lowest surface, or the foot of a free face, to the highest; at
+    least that of a column."""
+    scene, positions = flow.scene, np.asarray(flow.positions[0], np.float64)
+    level, column = -positions @ np.array(scene.gravity_vector) / scene.gravity, COLUMN * scene.domain.cell
+    axes = plan_axes(scene.dimension)
+    counts = [math.ceil(scene.domain.size[axis] / column - 1.0e-6) for axis in axes]
+    place = tuple(np.clip(positions[:, axes] // column, 0, np.array(counts) - 1).astype(np.int64).T)
+    top, foot = np.full(counts, -math.inf), np.full(counts, math.inf)
+    np.maximum.at(top, place, level)
+    np.minimum.at(foot, place, level)
+    empty = np.isinf(top)
+    # Beside an empty column the ground ends at a free face, whose foot counts as a surface.
+    lowest = np.where(binary_dilation(empty), np.minimum(top, foot), top)[~empty].min()
+    return max(float(top.max() - lowest), column)
 
 
 def reduced(scene: Scene, factor: float) -> Scene:
@@ -158,7 +187,8 @@ def reduced(scene: Scene, factor: float) -> Scene:
         material = None if mass.material is None else weaker(mass.material)
         if least := [min(field.values) for field in fields if field.mass == number]:
             material = weaker(bodies[number])
-            material = dataclasses.replace(material, dilation_deg=min(material.dilation_deg, *least))
+            psi = min(max(material.dilation_deg, -min(least)), *least)
+            material = dataclasses.replace(material, dilation_deg=psi)
         k0 = "elastic" if mass.k0 is None else mass.k0
         still: dict[str, Any] = dict.fromkeys(("velocity", "angular_velocity", "release", "gate"))
         return dataclasses.replace(mass, material=material, k0=k0, **still)

@@ -139,7 +139,7 @@ def weakened(material: Material, factor: float) -> Material:
     for name in ("cohesion", "strength_gradient", "tension_cutoff", "residual_cohesion", "residual_tension_cutoff"):
         if (value := getattr(material, name)) is not None:
             values[name] = value / factor
-    return dataclasses.replace(material, dilation_deg=min(material.dilation_deg, phi), **values)
+    return dataclasses.replace(material, dilation_deg=min(max(material.dilation_deg, -phi), phi), **values)
 
 
 def flatter(angle: float, factor: float) -> float:

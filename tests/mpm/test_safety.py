@@ -14,7 +14,7 @@ from mpm.run import command
 from mpm.safety import reduced
 from tests.refusals import refused
 from tests.scenes import scene_of
-from validation.bench.stability.slopes import KNOWN, SAND, TAYLOR, KnownSlope
+from validation.bench.stability.slopes import HEIGHT, KNOWN, SAND, TAYLOR, WEIGHT, KnownSlope
 
 UNDRAINED = dataclasses.replace(TAYLOR, cohesion=2.0 * TAYLOR.cohesion)  # twice as strong as it needs to be
 
@@ -87,8 +87,45 @@ def test_a_field_of_all_masses_is_of_the_angle_of_each() -> None:
         assert material.dilation_deg <= field.values[0] + 1e-9
 
 
+@pytest.mark.slow
+def test_ground_behind_and_below_a_cut_does_not_make_it_safer() -> None:
+    """Vertical cuts in undrained clay, c = rho g H / 3.78, whose factor is 1: on little and on much ground."""
+    clay = dataclasses.replace(TAYLOR.scene(8).material, friction_deg=0.0, dilation_deg=0.0, cohesion=WEIGHT / 3.78)
+
+    def factor(behind: float, below: float) -> float:
+        top, end = below + HEIGHT, behind + HEIGHT
+        front = ((end, 0.0), (end, below), (behind, below)) if below else ((behind, 0.0),)
+        corners = ((0.0, 0.0), *front, (behind, top), (0.0, top))
+        cut = Mass(kind="polygon", vertices=corners, material=clay)
+        scene = scene_of(cut, size=(end, top + 2.5), cell=HEIGHT / 8, floor_friction="rough")
+        found = safety_factor(scene, tolerance=0.03)
+        assert found.cells == pytest.approx(8.0, abs=1.1)
+        return found.factor
+
+    near = factor(25.0, 0.0)
+    assert near == pytest.approx(1.05, abs=0.05)
+    assert factor(120.0, 0.0) == pytest.approx(near, rel=0.03)
+    assert factor(50.0, 20.0) == pytest.approx(near, rel=0.06)
+
+
+def test_soil_that_contracts_has_a_factor() -> None:
+    """Its angle of dilation never lies beyond the friction that is left."""
+    loose = Material(friction_deg=20.0, dilation_deg=-15.0, softening_length=1.0e6, saturated=True)
+    weak = reduced(dataclasses.replace(SAND.scene(10), material=loose), 2.0).material
+    assert weak.dilation_deg == pytest.approx(-weak.friction_deg)
+    angles = Field(quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 1.0), nodes=(1, 1), values=(16.0,))
+    varied = reduced(dataclasses.replace(SAND.scene(10), material=loose, fields=(angles,)), 2.0)
+    assert varied.masses[0].material is not None
+    assert varied.masses[0].material.dilation_deg == pytest.approx(-varied.fields[0].values[0])
+
+
 def test_what_has_no_factor_of_safety_is_refused() -> None:
     scene = UNDRAINED.scene(4)
+    refused(safety_factor, scene, tolerance=0.0, said="tolerance: expected a number above 0, got 0.0")
+    thicker = Field(quantity="thickness", origin=(0.0,), spacing=(1.0,), nodes=(1,), values=(3.0,))
+    sheet = Mass(kind="layer", thickness=2.0, outline=((0.0,), (10.0,)))
+    said = "fields: expected no field of thickness beside --safety; give the layer its own thickness"
+    refused(safety_factor, dataclasses.replace(scene, masses=(sheet,), fields=(thicker,)), said=said)
     refused(safety_factor, dataclasses.replace(scene, gravity=0.0), said="gravity: expected gravity above 0")
     level = dataclasses.replace(scene, masses=(Mass(lower=(0.0, 0.0), size=(scene.domain.size[0], 5.0)),))
     said = "masses: expected a scene with a factor of safety, this one stands at 81.92 times less"
