@@ -24,8 +24,6 @@ Commands = Mapping[str, tuple[str, str]]
 
 DISK_ERRORS = {"ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "EPERM", "EIO", "ESTALE"}
 """Errors of a disk that is full, read-only or broken, which are no errors of the program."""
-
-
 _running: list[str] = []  # command lines; if one command calls another, the called one is last
 
 

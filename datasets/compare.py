@@ -67,12 +67,8 @@ class Comparison:
         return {
             "runs": list(self.labels),
             "time": self.time.tolist(),
-            "series": {
-                name: {key: series[:-1].tolist() for key, series in figures.items()} for name, figures in every.items()
-            },
-            "end": {
-                name: {key: float(series[-1]) for key, series in figures.items()} for name, figures in every.items()
-            },
+            "series": {name: {key: row[:-1].tolist() for key, row in rows.items()} for name, rows in every.items()},
+            "end": {name: {key: float(row[-1]) for key, row in rows.items()} for name, rows in every.items()},
             "end_time": dict(zip("ab", self.ends, strict=True)),
             "profile": {key: values.tolist() for key, values in profile.items()},
         }

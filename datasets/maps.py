@@ -36,7 +36,7 @@ from datasets.errors import naming, require
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.flow.fields import FlowFields
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_file
-from datasets.geometry.ground import elevation, slopes_in_plan
+from datasets.geometry.ground import Integers, elevation, slopes_in_plan
 from datasets.geometry.placement import tops_beneath
 from datasets.geometry.surface import surface_of
 from datasets.scene import Mass, Scene
@@ -50,11 +50,8 @@ KINDS = {
     "arrival": ("time of arrival", "s", "viridis"),
 }
 """Attribute of `PlanMaps` and name of its file -> title, unit, matplotlib colours."""
-MEASURED: dict[str, Literal["normal", "vertical"]] = {
-    KINDS["thickness"][0]: "vertical",
-    KINDS["depth"][0]: "vertical",
-    KINDS["normal_depth"][0]: "normal",
-}
+MEASURED: dict[str, Literal["normal", "vertical"]] = {KINDS[name][0]: "vertical" for name in ("thickness", "depth")}
+MEASURED |= {KINDS["normal_depth"][0]: "normal"}
 """Title, which is the description of a raster's band -> how the map measures a thickness."""
 BETWEEN = 8  # most moments evaluated from one frame to the next: as many as cells that fast particles cross
 FAST = 0.99  # quantile of the particles' displacements that counts as fast, so that no single grain decides
@@ -65,7 +62,6 @@ WIDTH, HIGHEST = 9.0, 9.0  # width and largest height of a picture [inches]
 CONTOURS = 12  # approximate number of contour lines of the ground
 
 Singles = NDArray[np.float32]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,10 +192,7 @@ def map_corner(scene: Scene) -> tuple[tuple[float, ...], str | None]:
 
 
 def require_same_place(one: Scene, other: Scene, whose: str = "the other") -> None:
-    """Raise InputError unless the boxes of `one` and `other` have the same place on the map.
-
-    whose: the name of `one` in the message.
-    """
+    """Raise InputError unless both boxes have the same place on the map. whose: the name of `one` in the message."""
     places = [scene.domain.corner.tolist() for scene in (one, other)]
     for scene, place in zip((one, other), places, strict=True):
         if scene.dimension == 3:
@@ -293,8 +286,7 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequ
     most: dict[str, float | None] = {}
     for name, (title, unit, colours) in KINDS.items():
         values = getattr(maps, name)
-        any_finite = values is not None and np.isfinite(values).any()
-        most[name] = float(f"{np.nanmax(values):.6g}") if any_finite else None
+        most[name] = float(f"{np.nanmax(values):.6g}") if values is not None and np.isfinite(values).any() else None
         if values is not None:
             write_raster(folder / f"{name}.tif", values, maps.cell, maps.corner, maps.crs, title, unit)
             write_text(folder / f"{name}.qml", style(colours, most[name] or 1.0, unit))

@@ -1,5 +1,4 @@
 """Converts tables of TOML or JSON into frozen dataclasses: an unknown key, a wrong type or a number out of bounds gives
-
 one error. pydantic checks keys and types of a file. A record also checks itself, for records made in Python.
 """
 
@@ -25,6 +24,8 @@ FEW_KEYS = 12  # most keys of a table that the refusal of an unknown key lists
 SHORT = 3  # longest vector shown whole if one number is out of bounds: that of a place
 FARTHEST = 1.0e9
 """Largest length [m], time [s], speed [m/s] and coefficient; it keeps their powers finite."""
+# Building an adapter costs a hundred times as much as a validation with it.
+_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 
 
 @dataclass(frozen=True)
@@ -121,10 +122,6 @@ class Record:
                 got = bounds.first_beyond(value)
                 said = repr(got) if isinstance(got, str) else got
                 raise InputError(f"expected {bounds.expected}, got {said}", key=key)
-
-
-# Building an adapter costs a hundred times as much as a validation with it.
-_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 
 
 def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:

@@ -20,6 +20,7 @@ import numpy as np
 import shapely
 import tomli_w
 from numpy.typing import NDArray
+from shapely import Polygon
 
 from datasets.command_line import run
 from datasets.errors import naming, require
@@ -34,6 +35,8 @@ from datasets.scene.stiffness import greatest_speed
 if TYPE_CHECKING:  # GDAL and SciPy take half a second to import: --help needs neither
     from datasets.exchange.rasters import Raster
     from datasets.exchange.vectors import Feature
+
+Mask = NDArray[np.bool_]
 
 REACH = 0.75
 """Slope of the energy line that bounds the box, over the friction coefficient: fronts outrun a sliding block."""
@@ -66,7 +69,7 @@ def site(
     given, field = (thickness, None) if isinstance(thickness, float) else (None, thickness)
     thick = [0.0 if field else thickness_of(feature, given) for feature in release]
     ground, covered = filled(raster.values, raster.spacing), np.zeros(raster.values.shape, bool)
-    parts, cut, taken = list[Part](), list[bool](), shapely.Polygon()
+    parts, cut, taken = list[Part](), list[bool](), Polygon()
     for feature, depth in zip(release, thick, strict=True):
         shape, taken = feature.polygon.difference(taken), taken.union(feature.polygon)
         for polygon in without_rings(shape):
@@ -81,12 +84,9 @@ def site(
     if "turbulence" in bed:
         steep = math.degrees(math.acos(1.0 / np.median(steepness(raster, raster.x, raster.z)[covered])))
     if steep > internal_friction + 1.0:
-        said = (
-            f"--internal-friction: {internal_friction:g} degrees are less than the {steep:.0f} degrees of the slope"
-            " under the release, so the layer shears inside and its upper part outruns Voellmy's law; 45 degrees hold"
-            " it together"
-        )
-        warnings.warn(said, stacklevel=2)
+        said = f"--internal-friction: {internal_friction:g} degrees are less than the {steep:.0f} degrees of the slope"
+        shears = "the layer shears inside and its upper part outruns Voellmy's law; 45 degrees hold it together"
+        warnings.warn(f"{said} under the release, so {shears}", stacklevel=2)
     top = max(part.top for part in parts)
     lower, upper = reached(raster, covered, top, slope)
     lower[::2], upper[::2] = np.minimum(lower[::2], taken.bounds[:2]), np.maximum(upper[::2], taken.bounds[2:])
@@ -95,7 +95,9 @@ def site(
     mean = float(np.average([part.depth for part in parts], weights=[part.polygon.area for part in parts]))
     # A layer thinner than the particle spacing is one particle thick.
     few = 2.0 * max((volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(taken.area / PARTICLES))
-    edge = cell or round_up(max(min(mean, math.sqrt(taken.area)) / ACROSS, few, math.sqrt(plan / COLUMNS)))
+    least = max(min(mean, math.sqrt(taken.area)) / ACROSS, few, math.sqrt(plan / COLUMNS))
+    unit = 10.0 ** (math.floor(math.log10(least)) - 1)
+    edge = cell or float(f"{math.ceil(least / unit - 1.0e-9) * unit:.6g}")  # rounded up to two digits
     beside = AROUND * edge * np.array([1.0, 0.0, 1.0])
     # Narrower than a particle, where a polygon lies all but within others.
     narrow = [part.polygon.buffer(-0.25 * edge).is_empty and of_cut for part, of_cut in zip(parts, cut, strict=True)]
@@ -134,7 +136,7 @@ def thickness_of(feature: "Feature", given: float | None) -> float:
     return value
 
 
-def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
+def without_rings(shape: shapely.Geometry) -> list[Polygon]:
     """Polygons cut into adjacent parts without holes, along a north-south line through each hole. Vertices are rounded
     to micrometres, and merged if they are in one place."""
     parts = []
@@ -152,7 +154,7 @@ def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
 class Part(NamedTuple):
     """A part of the release."""
 
-    polygon: shapely.Polygon
+    polygon: Polygon
     mass: dict[str, Any]  # of a scene file
     depth: float  # mean thickness, as it is given, where there is some [m]
     volume: float  # about [m^3]
@@ -160,16 +162,10 @@ class Part(NamedTuple):
 
 
 def layer(
-    raster: "Raster",
-    ground: Floats,
-    polygon: shapely.Polygon,
-    thickness: "float | Raster",
-    vertical: bool,
-    covered: NDArray[np.bool_],
+    raster: "Raster", ground: Floats, polygon: Polygon, thickness: "float | Raster", vertical: bool, covered: Mask
 ) -> Part:
     """A polygon as a layer. ground: elevations of the raster, holes filled [m], [X, Z]; thickness: a number [m] or a
-    raster, whose cells the layer then takes over; covered: [X, Z], in which the posts whose cells intersect the polygon
-    are marked."""
+    raster, whose cells the layer then takes over; covered: [X, Z], gets marks where cells intersect the polygon."""
     box = polygon.bounds
     for axis, spacing, low, high in zip((raster.x, raster.z), raster.spacing, box[:2], box[2:], strict=True):
         within = axis[0] - 0.5 * spacing <= low and high <= axis[-1] + 0.5 * spacing
@@ -198,7 +194,7 @@ def layer(
     return Part(polygon, mass, float(here[here > 0.0].mean()), volume, highest + float(rows.max()))
 
 
-def beside(raster: "Raster", polygon: shapely.Polygon, half: float) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
+def beside(raster: "Raster", polygon: Polygon, half: float) -> tuple[tuple[slice, slice], Mask]:
     """The posts of a raster, along x and z, that lie in the box around a polygon or within a cell of it, and which of
     them have a cell that intersects the polygon, [X, Z]; half: half the size of this cell, in spacings."""
     ends = zip((raster.x, raster.z), raster.spacing, polygon.bounds[:2], polygon.bounds[2:], strict=True)
@@ -232,7 +228,7 @@ def slope_along(values: Floats, axis: int, spacing: float) -> Floats:
     return np.asarray(np.nansum(both, axis=0) / np.maximum(np.isfinite(both).sum(axis=0), 1))
 
 
-def reached(raster: "Raster", release: NDArray[np.bool_], top: float, slope: float) -> tuple[Floats, Floats]:
+def reached(raster: "Raster", release: Mask, top: float, slope: float) -> tuple[Floats, Floats]:
     """Corners [m], shape [3], of the box around the ground that an energy line of a slope reaches from `top` [m]."""
     from scipy.ndimage import distance_transform_edt, label
 
@@ -252,12 +248,6 @@ def without_holes(raster: "Raster", domain: dict[str, Any]) -> Floats | None:
     within = [(axis > low - step) & (axis < low + length + step) for axis, step, low, length in sides]
     holes = np.isnan(raster.values) & np.logical_and.outer(*within)
     return filled(raster.values, raster.spacing) if holes.any() else None
-
-
-def round_up(length: float) -> float:
-    """The length [m] rounded up to two digits."""
-    unit = 10.0 ** (math.floor(math.log10(length)) - 1)
-    return float(f"{math.ceil(length / unit - 1.0e-9) * unit:.6g}")
 
 
 def least_of(given: float | Path, flag: str, expected: str, *, zero: bool) -> float:
@@ -328,9 +318,8 @@ def command(
     with naming(release):
         features = read_polygons(release, raster.crs)
         bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
-        options: dict[str, Any] = {"thickness": thick, "vertical": vertical, "cell": cell}
-        options["internal_friction"] = internal_friction
-        table = site(raster, features, bed=bed, slope=REACH * least, **options)
+        options: dict[str, Any] = {"thickness": thick, "vertical": vertical, "bed": bed, "cell": cell}
+        table = site(raster, features, slope=REACH * least, internal_friction=internal_friction, **options)
     whole, terrain = without_holes(raster, table["domain"]), table["solids"][0]
     if whole is not None:
         expected, got = "ground without holes, or square cells", " x ".join(f"{edge:g} m" for edge in raster.spacing)
@@ -351,11 +340,9 @@ def command(
     times = {"duration": seconds, "frame_dt": frame_dt}
     head = f"# {release.name} on {dem.name}, by python -m datasets.site; in map coordinates.\n"
     write_text(out, head + tomli_w.dumps({**times, **table}))
-    print(
-        f"{out}: {released_volume(scene):.4g} m^3 in {particle_count(scene)} particles, a box of "
-        f"{' x '.join(f'{length:g}' for length in size)} m in cells of {scene.domain.cell:g} m, "
-        f"{seconds:g} s, at most {speed:.3g} m/s by the energy line"
-    )
+    sides, sand = " x ".join(f"{length:g}" for length in size), f"{released_volume(scene):.4g} m^3"
+    box = f"a box of {sides} m in cells of {scene.domain.cell:g} m, {seconds:g} s"
+    print(f"{out}: {sand} in {particle_count(scene)} particles, {box}, at most {speed:.3g} m/s by the energy line")
     written = shlex.quote(str(out))
     print(f"python -m mpm.run {written} --out DIR --until-rest, then python -m datasets.maps DIR --out MAPS")
 

@@ -60,8 +60,7 @@ class Definition:
     stream: Callable[[int], int] = int
     """Number of a scene -> number of its random stream; scenes that share one can be variants of each other."""
     storage: Storage | None = None
-    """If given, simulations end when their deposits rest, unless it says otherwise, and only some particles are stored;
-    else all are."""
+    """If given, simulations end at rest unless it says otherwise, and only some particles are stored; else all are."""
     kinds: tuple[str, ...] = ()
     """For a family, the names of its kinds of scenes, in their repeating order."""
 

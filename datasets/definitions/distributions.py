@@ -21,6 +21,7 @@ Key = tuple[int | str, ...]
 Draws = dict[str, Any]
 
 LARGEST, LEAST_STEP = 1.0e15, 1.0e-15  # of a number of a distribution; of a step over the range
+DIGITS = 12  # decimals of a length: without the rounding of a product, so that whole cells stay whole
 MOST_COPIES = 4096  # largest `count` of a mass or a baffle
 TRIES = 1000
 """Draws of a scene before the definition is refused: the chance of a valid one is then below one in a hundred."""
@@ -137,7 +138,7 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
             return variables[given]
         terms = [variables[given], value.get("factor", 1.0), value.get("offset", 0.0)]
         require(all(map(usable, terms)), where, "numbers, variable, factor and offset", terms)
-        return rounded(terms[0] * terms[1] + terms[2])
+        return round(float(terms[0] * terms[1] + terms[2]), DIGITS)
     expected, hold = PAIRS[kind]
     fit = isinstance(given, list) and len(given) == 2 and all(map(usable, given)) and hold(*given)
     require(fit, where, expected, value)
@@ -148,7 +149,7 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
         fit = usable(value["step"]) and value["step"] > LEAST_STEP * (high - low)
         require(fit, where, "a positive step that is not too small beside the range", value)
         steps = int((high - low) / value["step"] + 1e-9)
-        return rounded(low + value["step"] * int(stream.integers(steps, endpoint=True)))
+        return round(float(low + value["step"] * int(stream.integers(steps, endpoint=True))), DIGITS)
     if kind == "log_uniform":
         return float(np.exp(stream.uniform(*np.log(given))))
     return float(stream.normal(low, high) if kind == "normal" else stream.uniform(low, high))
@@ -157,11 +158,6 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
 def usable(number: Any) -> bool:
     """Whether a TOML value is a number allowed in a distribution."""
     return type(number) in (int, float) and abs(number) <= LARGEST
-
-
-def rounded(value: float) -> float:
-    """A length of a lattice without the rounding of a product, so that whole cells stay whole."""
-    return round(float(value), 12)
 
 
 def check_gaps(scene: Scene, gap: float) -> None:

@@ -45,7 +45,7 @@ from datasets.definitions.distributions import OPTIONS, drawn
 from datasets.definitions.held_out import boxes, is_held_out
 from datasets.errors import InputError, require
 from datasets.files import read_toml
-from datasets.geometry.ground import elevation, plan_axes
+from datasets.geometry.ground import Solids, elevation, plan_axes
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.scene.material import Material
 
@@ -56,6 +56,7 @@ GRID = 0.1  # distance between the elevations of a terrain [m]
 WIDEST = 1.2  # extent of a body across the flow, at most [m]
 SANDS = ("friction_deg", "cohesion")  # keys in which layers may differ
 Numbers = Mapping[str, Any]
+Masses = tuple[Mass, ...]
 ABSENT: Numbers = {
     **dict.fromkeys(("left", "place", "aside", "width", "least_side"), 0.0),
     **dict.fromkeys(("bodies", "layers"), ()),
@@ -118,7 +119,7 @@ def composed(stream: Stream, kind: Numbers) -> Scene:
     keys["material"] = sand = Material(**with_cutoff(keys["material"]))
     masses, width = bodies_of(sketch, sand)
     plan = (sketch["length"], width) if width else (sketch["length"],)
-    solids, top = tuple[Solid, ...](), 0.0
+    solids, top = Solids(), 0.0
     if ground is not None:
         ground["foot"] = ground["plateau"] + (ground.get("run") or ground["fall"] / slope_of(ground))
         fall = slope_of(ground) * (ground["foot"] - ground["plateau"])
@@ -142,7 +143,7 @@ def with_cutoff(sand: Numbers) -> dict[str, Any]:
     return {**sand, "tension_cutoff": CUTOFF_SHARE * sand["cohesion"]}
 
 
-def bodies_of(sketch: Numbers, sand: Material) -> tuple[tuple[Mass, ...], float]:
+def bodies_of(sketch: Numbers, sand: Material) -> tuple[Masses, float]:
     """The masses of the bodies, layer by layer, and the width of the box [m], 0 in 2D."""
     bodies, width = sketch["bodies"], sketch["width"]
     shares, sizes = sum(body.get("share", 1.0) for body in bodies), list[tuple[float, ...]]()
@@ -165,7 +166,7 @@ def bodies_of(sketch: Numbers, sand: Material) -> tuple[tuple[Mass, ...], float]
     return (layered(sketch, masses[0], sand) if sketch["layers"] else tuple(masses)), width
 
 
-def layered(sketch: Numbers, whole: Mass, sand: Material) -> tuple[Mass, ...]:
+def layered(sketch: Numbers, whole: Mass, sand: Material) -> Masses:
     """The layers of a body in 2D."""
     layers = sketch["layers"]
     edges = np.cumsum([0.0, *(layer.get("thickness", 1.0) for layer in layers)])
@@ -187,7 +188,7 @@ def slope_of(ground: Numbers) -> float:
     return math.tan(math.radians(ground["angle_deg"]))
 
 
-def terrain_of(ground: Numbers, plan: tuple[float, ...], friction: float) -> tuple[tuple[Solid, ...], float]:
+def terrain_of(ground: Numbers, plan: tuple[float, ...], friction: float) -> tuple[Solids, float]:
     """The terrain of a box of a size in plan [m], and its highest elevation [m]."""
     plateau, foot, grid = ground["plateau"], ground["foot"], ground.get("every", GRID)
     x, *across = (grid * np.arange(-1, round(length / grid) + 3) for length in plan)
@@ -226,7 +227,7 @@ def on_ground(mass: Mass, terrain: Solid) -> Mass:
     return dataclasses.replace(mass, lower=(x, y + float(heights.max()), z))
 
 
-def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[tuple[Mass, ...], float]:
+def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[Masses, float]:
     """The layer on the ground, and its thickness [m]."""
     left = sketch["left"]
     across = 1.0
@@ -248,9 +249,7 @@ def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[
     return (Mass(kind="layer", thickness=thickness, outline=outline, velocity=velocity),), thickness
 
 
-def baffles_of(
-    stream: Stream, sketch: Numbers, masses: tuple[Mass, ...], domain: Domain, solids: tuple[Solid, ...]
-) -> tuple[Baffle, ...]:
+def baffles_of(stream: Stream, sketch: Numbers, masses: Masses, domain: Domain, solids: Solids) -> tuple[Baffle, ...]:
     """Baffles, each drawn until it stands apart from the others, or rows of them. Raises InputError."""
     front, given, baffles = max(map(furthest, masses)), sketch["baffles"] or {"count": 0}, list[Baffle]()
     if sketch["rows"]:

@@ -95,7 +95,6 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
     # Each mass's own: what the scene has for masses without one may be the material of none.
     materials = [asdict(member.material_of(mass)) for member in scenes for mass in member.masses]
     angles = [material.pop("friction_deg") for material in materials]
-
     counted = dict(zip(("velocities", "accelerations"), statistics.count[:, 0].tolist(), strict=True))
 
     def shared(key: str) -> Any:

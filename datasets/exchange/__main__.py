@@ -162,8 +162,9 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
     fits = 0.0 < volume[0] <= 2.0 * size.prod() / count
     require(fits, "", "particles that are apart in the first frame and fit the box", f"a spacing of {spacing:g} m")
     velocity0 = ((positions[1] - positions[0]) / foreign.dt).astype(np.float32)
-    timed = replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt)
-    scene, boxed = with_body(with_tangent(timed, friction), positions[0], velocity0, spacing, rows)
+    sloped = with_tangent(replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt), friction)
+    boxed = with_body(sloped, positions[0], velocity0, spacing, rows)
+    scene = boxed or sloped
     flow = Trajectory(
         positions=positions,
         time=np.arange(len(positions), dtype=np.float64) * foreign.dt,
@@ -173,7 +174,7 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
         scene=scene,
         summary=extents(scene, positions[-1], volume),
     )
-    return flow, boxed
+    return flow, boxed is not None
 
 
 def lattice_spacing(places: Floats, given: float | None) -> tuple[float, Counts | None]:
@@ -223,23 +224,20 @@ def at_tangent(sand: Material, tangent: float) -> Material:
     return replace(sand, friction_deg=replace(sand, angle="triaxial", friction_deg=phi_deg, **others).slope_deg)
 
 
-def with_body(
-    scene: Scene, places: Floats, velocities: Floats, spacing: float, rows: Counts | None
-) -> tuple[Scene, bool]:
-    """The scene with the box of the first `places` [m], shape [N, D], as its mass, and whether it has that: not where
-    there is no box (`rows`), or masses of several materials. Ranges and units of a model follow from it."""
+def with_body(scene: Scene, places: Floats, velocities: Floats, spacing: float, rows: Counts | None) -> Scene | None:
+    """The scene with the box of the first `places` [m], shape [N, D], as its mass; None where there is no box (`rows`),
+    or masses of several materials. Ranges and units of a model follow from it."""
     kept = {tuple(getattr(mass, key) for key in KEPT) for mass in scene.masses}
     if rows is None or len(kept) > 1:
-        return scene, False
+        return None
     size = np.minimum(np.array(rows) * spacing, scene.domain.size)
     lower = np.clip(places.mean(axis=0) - 0.5 * size, 0.0, np.array(scene.domain.size) - size)
     velocity, same = tuple(velocities.mean(axis=0).tolist()), dict(zip(KEPT, kept.pop(), strict=True))
     body = Mass(lower=tuple(lower.tolist()), size=tuple(size.tolist()), velocity=velocity, **same)
     try:
-        return replace(scene, masses=(body,), fields=()), True
+        return replace(scene, masses=(body,), fields=())
     except InputError:
-        # Rounding has put the mass into an obstacle.
-        return scene, False
+        return None  # rounding has put the mass into an obstacle
 
 
 def read_metadata(path: Path) -> dict[str, Any]:

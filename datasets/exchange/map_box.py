@@ -66,8 +66,8 @@ def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
         crs = next((raster_system(folder / file) for file in files if isinstance(file, str)), None)
     elif crs is not None:
         crs = known_system(str(crs))
-    west, south, east, north = read_bounds(folder / around, crs)
-    lower, upper = np.array([west, south]) - margin, np.array([east, north]) + margin
+    bounds = read_bounds(folder / around, crs)
+    lower, upper = bounds[:2] - margin, bounds[2:] + margin
     require(bool((upper > lower).all()), "margin", "a length above 0 m around a single place", margin)
     # Outwards to whole metres and an even number of cells.
     edge = float(domain["cell"])

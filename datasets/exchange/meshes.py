@@ -52,7 +52,16 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
     with warnings.catch_warnings(), redirect_stdout(output), redirect_stderr(output), pyvista.vtk_verbosity("off"):
         warnings.simplefilter("ignore")
         try:
-            mesh = data_set(path)
+            if path.suffix.lower() == ".obj":
+                mesh: Any = pyvista.PolyData(*read_obj(path))
+            elif path.suffix.lower() in BY_MESHIO:
+                import meshio
+
+                given = meshio.read(path)
+                # Without the groups of Gmsh, of which pyvista knows physical ones alone.
+                mesh = pyvista.from_meshio(meshio.Mesh(given.points, given.cells))
+            else:
+                mesh = pyvista.read(path)
         except SystemExit:  # meshio has printed why
             raise InputError(f"expected a readable mesh, {output.getvalue().strip().splitlines()[0]}") from None
         require(isinstance(mesh, pyvista.DataSet), "", "one mesh", type(mesh).__name__)
@@ -70,21 +79,6 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
                 break
         require(merged.n_cells > 0, "", "a mesh with triangles", "none")
         return np.asarray(merged.points, np.float64), np.asarray(merged.regular_faces, np.int64)
-
-
-def data_set(path: Path) -> Any:
-    """What pyvista makes of a file. Raises InputError, and whatever the libraries raise, of meshio SystemExit too."""
-    import pyvista
-
-    if path.suffix.lower() == ".obj":
-        return pyvista.PolyData(*read_obj(path))
-    if path.suffix.lower() not in BY_MESHIO:
-        return pyvista.read(path)
-    import meshio
-
-    mesh = meshio.read(path)
-    # Without the groups of Gmsh, of which pyvista knows physical ones alone.
-    return pyvista.from_meshio(meshio.Mesh(mesh.points, mesh.cells))
 
 
 def read_obj(path: Path) -> tuple[Floats, Integers]:

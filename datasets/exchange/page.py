@@ -78,22 +78,16 @@ class Shown:
         return {key: np.stack(series) for key, series in self.values.items() if len(series) == len(self.positions)}
 
 
-class Numbers:
-    """Arrays stored as integers in a row, with the place of each in the bytes."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-
-    def put(self, values: NDArray[Any], low: NDArray[Any], high: NDArray[Any], kind: str) -> dict[str, Any]:
-        """Store `values` [T, ..., M, K] between `low` and `high`, each [M]; kind: `u1` or `u2`. Returns its place."""
-        levels = np.iinfo(kind).max
-        step = np.where(high > low, high - low, 1.0) / levels
-        shares = np.nan_to_num((values - low[:, None]) / step[:, None]).clip(0.0, levels).round().astype(kind)
-        self.data += b"\0" * (len(self.data) % 2)
-        place = {"type": kind, "at": len(self.data), "shape": shares.shape, "low": low.tolist(), "step": step.tolist()}
-        # Unsigned: what is less than before wraps around, and back where the differences are added up.
-        self.data += np.diff(shares, axis=0, prepend=np.zeros_like(shares[:1])).astype(f"<{kind}").tobytes()
-        return place
+def put(data: bytearray, values: NDArray[Any], low: NDArray[Any], high: NDArray[Any], kind: str) -> dict[str, Any]:
+    """Append `values` [T, ..., M, K] between `low` and `high`, each [M], as integers, u1 or u2. Returns their place."""
+    levels = np.iinfo(kind).max
+    step = np.where(high > low, high - low, 1.0) / levels
+    shares = np.nan_to_num((values - low[:, None]) / step[:, None]).clip(0.0, levels).round().astype(kind)
+    data += b"\0" * (len(data) % 2)
+    place = {"type": kind, "at": len(data), "shape": shares.shape, "low": low.tolist(), "step": step.tolist()}
+    # Unsigned: what is less than before wraps around, and back where the differences are added up.
+    data += np.diff(shares, axis=0, prepend=np.zeros_like(shares[:1])).astype(f"<{kind}").tobytes()
+    return place
 
 
 def write_view(
@@ -125,14 +119,14 @@ def write_view(
             moments[few][ERROR][same[few]] = apart
         for view, values in zip(shown, moments, strict=True):
             view.add(values)
-    numbers = Numbers()
+    data = bytearray()
     head = {
         "dimension": dimension,
         "times": times.tolist(),
         "digits": 1 if times[-1] > 100.0 else 2 if times[-1] > 5.0 else 3,
         "stations": columns.middles.tolist(),
         "depth": "thickness [m]" if dimension == 2 else "mean thickness over z [m]",
-        **described(shown, numbers, [html.escape(label) for label in labels]),
+        **described(shown, data, [html.escape(label) for label in labels]),
         **still([run.scene for run in flows]),
         "observed": vars(observed or Observed()),
         "about": html.escape(about(shown, labels, times)),
@@ -143,19 +137,19 @@ def write_view(
         "title": html.escape(title or "A granular flow"),
         # Escaped, so that no text of a scene can end the script that contains it.
         "head": json.dumps(finite(head), default=list).replace("<", "\\u003c"),
-        "data": packed(bytes(numbers.data)),
+        "data": packed(data),
         "plotly": packed(get_plotlyjs().encode()),
     }
     write_text(Path(path), re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], PAGE.read_text(encoding="utf-8")))
 
 
-def packed(data: bytes) -> str:
+def packed(data: bytes | bytearray) -> str:
     """Deflated, as text."""
     return base64.b64encode(zlib.compress(data, 9)).decode()
 
 
-def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -> dict[str, Any]:
-    """The flows, fields and ranges of a page, their arrays put into `numbers`."""
+def described(shown: Sequence[Shown], data: bytearray, labels: Sequence[str]) -> dict[str, Any]:
+    """The flows, fields and ranges of a page, their arrays put into `data`."""
     places = [np.stack(view.positions).swapaxes(1, 2) for view in shown]
     low = np.min([place.min(axis=(0, 2)) for place in places], axis=0)
     high = np.max([place.max(axis=(0, 2)) for place in places], axis=0)
@@ -184,11 +178,9 @@ def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -
             "spacing": float(view.flow.volumes.sum() / len(view.particles)) ** (1.0 / place.shape[1]),
             "front": view.front,
             "entry": None if (entry := view.flow.entry_time) is None else entry[view.particles].tolist(),
-            "positions": numbers.put(place, low, high, "u2"),
-            "heights": numbers.put(np.stack(view.heights)[:, None], np.zeros(1), highest, "u2"),
-            "fields": {
-                key: numbers.put(array, np.zeros(1), np.array([tops[key]]), "u1") for key, array in values.items()
-            },
+            "positions": put(data, place, low, high, "u2"),
+            "heights": put(data, np.stack(view.heights)[:, None], np.zeros(1), highest, "u2"),
+            "fields": {key: put(data, part, np.zeros(1), np.array([tops[key]]), "u1") for key, part in values.items()},
         }
         runs.append(run)
     lower, upper = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)

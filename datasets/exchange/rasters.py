@@ -28,8 +28,7 @@ CLIFF, STEEP = 500.0, 10.0
 """Height of a step [m], and over the cell, above which isolated values such as -999, 9999 or 0 are not ground."""
 OTHERS: dict[str | bytes, str] = {".img": "HFA", ".bil": "EHdr", ".flt": "EHdr", ".vrt": "VRT"}
 OTHERS |= {b"DSBB": "GSBG", b"DSRB": "GS7BG", b"DSAA": "GSAG"}
-"""GDAL's drivers by the ending of a file or, of a grid of Surfer, by its beginning; other files are GeoTIFF or ESRI
-ASCII rasters."""
+"""GDAL's drivers by a file's ending or, of a grid of Surfer, by its beginning; others are GeoTIFF or ESRI ASCII."""
 ELSEWHERE = re.compile(rb"/vsi|://|pixelfunction", re.IGNORECASE)
 """Forbidden contents of a mosaic (.vrt): files of other machines and code."""
 HEADER = re.compile(rb"\s*((ncols|nrows|[xy]ll(corner|center)|cellsize|d[xy]|nodata_value)\s+\S+\s+)*", re.IGNORECASE)
@@ -75,7 +74,7 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
         description = file.descriptions[0] or ""
         scale, offset = float(file.scales[0]), float(file.offsets[0])
         require(not file.dtypes[0].startswith("complex"), "", "real numbers", file.dtypes[0])
-        masked = file.read(1, masked=True).astype(np.float64)
+        raw_values = file.read(1, masked=True).astype(np.float64).filled(np.nan)
     require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
     require(bands == 1, "", "a raster of one band", bands)
     unit = (height_unit(crs) if crs else "") or unit
@@ -88,8 +87,7 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
     upright = transform.b == transform.d == 0.0 and transform.a > 0.0 and transform.e != 0.0
     require(upright, "", "a raster whose rows run from west to east", "one that is turned or mirrored")
     require(scale != 0.0 and usual(scale) and usual(offset), "", "a finite scale and offset", (scale, offset))
-    rows, columns = masked.shape
-    raw_values = masked.filled(np.nan)
+    rows, columns = raw_values.shape
     values = scale * raw_values + offset
     none = np.isfinite(values) & np.isin(raw_values, UNDECLARED)
     if not coefficients:

@@ -101,8 +101,7 @@ class Reader:
                 elif kind == INFLOW:
                     require(at is None, f"{key}.at", "no such key beside a hydrograph", "one")
                     columns = read_columns(path, ("time", "discharge", "speed"))
-                    rows = [columns[name] for name in ("time", "discharge", "speed")]
-                    content = {"hydrograph": np.stack(rows, axis=1).tolist()}
+                    content = {"hydrograph": np.stack([*columns.values()], axis=1).tolist()}
                 elif len(self.size) == 3:
                     content = self.field(path, at, "heights" if kind == "terrain" else name)
                 elif kind in ("terrain", WATER):
@@ -159,8 +158,7 @@ class Reader:
         raster = read_raster(path)
         terrain, surface, offset = name == "heights", name != "thickness", self.offset
         self.crs = self.crs or raster.crs
-        same = same_system(self.crs, raster)
-        require(same, "", f"the reference system of {self.whose}, {self.crs}", raster.crs)
+        require(same_system(self.crs, raster), "", f"the reference system of {self.whose}, {self.crs}", raster.crs)
         if at is not None or offset is None or (terrain and self.lower is None):
             x, z = at or (0.0, 0.0)
             offset = float(x) - raster.corner[0], float(z) - raster.corner[1]

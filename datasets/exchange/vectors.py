@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from shapely import Polygon
 from datasets.errors import naming, require
 from datasets.exchange.rasters import known_system
 from datasets.files import file_size, reading
+from datasets.scene.grid_field import Floats
 
 LARGEST_LAYERS = 2**28  # bytes of a file
 BEGINNINGS = {
@@ -54,20 +56,18 @@ def read_polygons(path: Path, crs: str | None) -> list[Feature]:
     return features
 
 
-def read_bounds(path: Path, crs: str | None) -> tuple[float, float, float, float]:
+def read_bounds(path: Path, crs: str | None) -> Floats:
     """West, south, east and north end [m] of all polygons, lines and points of a file (`read_shapes`)."""
     with naming(path):
         shapes = [place for place, *_ in read_shapes(path, crs, "polygons, lines or points")]
         bounds = shapely.total_bounds(shapes) if shapes else np.full(4, np.nan)
         require(bool(np.isfinite(bounds).all()), "", "polygons, lines or points", "none")
-    west, south, east, north = map(float, bounds)
-    return west, south, east, north
+    return np.asarray(bounds)
 
 
-def read_shapes(path: Path, crs: str | None, what: str) -> list[Shape]:
+def read_shapes(path: Path, crs: str | None, what: str) -> Iterator[Shape]:
     """The shapes of a file, or of its layer in FILE|layername=NAME as QGIS has it, with their attributes, names in
-    lower case, and layers; in metres in the system `crs` of the map, in which a file that names none is. Raises
-    InputError."""
+    lower case, and layers; in metres in the system `crs`, in which a file that names none is. Raises InputError."""
     import pyogrio
 
     name, _, chosen = str(path).partition(LAYER)
@@ -81,32 +81,26 @@ def read_shapes(path: Path, crs: str | None, what: str) -> list[Shape]:
     with reading(path, what):
         layers = [str(layer) for layer, kind in pyogrio.list_layers(path.resolve()) if kind is not None]
     require(not chosen or chosen in layers, "", f"one of the layers {', '.join(layers)}", repr(chosen))
-    return [shape for layer in ([chosen] if chosen else layers) for shape in shapes_of(path, layer, crs, what)]
-
-
-def shapes_of(path: Path, layer: str, crs: str | None, what: str) -> Iterator[Shape]:
-    """What `read_shapes` says of one layer."""
-    import pyogrio
-
-    with reading(path, what):
-        described, _, shapes, values = pyogrio.raw.read(path.resolve(), layer=layer, force_2d=True)
-        places = shapely.from_wkb(shapes)
-    if len(places) == 0:
-        return
-    system, bounds = described["crs"], shapely.total_bounds(places)
-    degrees = system is not None and CRS.from_user_input(system).is_geographic
-    unnamed = crs is None and path.suffix.lower() in (".geojson", ".json")
-    if degrees and (unnamed or bool((np.abs(bounds) > MOST_DEGREES).any())):
-        system = None
-    if system is not None and crs is None and np.isfinite(bounds).all():
-        # Beside a map without a reference system, coordinates count as metres.
-        known_system(system, "", (0.5 * (bounds[:2] + bounds[2:])).tolist())
-    if system is not None and crs is not None and system != crs:
-        with reading(path, f"coordinates of {system} that lie in {crs}"):
-            places = shapely.transform(places, lambda rows: projected(rows, system, crs))
-    columns = {name.lower(): column for name, column in zip(described["fields"], values, strict=True)}
-    for number, place in enumerate(places):
-        yield place, {name: column[number] for name, column in columns.items()}, layer
+    for layer in [chosen] if chosen else layers:
+        with reading(path, what):
+            described, _, shapes, values = pyogrio.raw.read(path.resolve(), layer=layer, force_2d=True)
+            places = shapely.from_wkb(shapes)
+        if len(places) == 0:
+            continue
+        system, bounds = described["crs"], shapely.total_bounds(places)
+        degrees = system is not None and CRS.from_user_input(system).is_geographic
+        unnamed = crs is None and path.suffix.lower() in (".geojson", ".json")
+        if degrees and (unnamed or bool((np.abs(bounds) > MOST_DEGREES).any())):
+            system = None
+        if system is not None and crs is None and np.isfinite(bounds).all():
+            # Beside a map without a reference system, coordinates count as metres.
+            known_system(system, "", (0.5 * (bounds[:2] + bounds[2:])).tolist())
+        if system is not None and crs is not None and system != crs:
+            with reading(path, f"coordinates of {system} that lie in {crs}"):
+                places = shapely.transform(places, partial(projected, system=system, crs=crs))
+        columns = {name.lower(): column for name, column in zip(described["fields"], values, strict=True)}
+        for number, place in enumerate(places):
+            yield place, {name: column[number] for name, column in columns.items()}, layer
 
 
 def projected(rows: Any, system: str, crs: str) -> Any:

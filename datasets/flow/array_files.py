@@ -27,8 +27,7 @@ WHAT = "a trajectory"
 
 
 class FrameWriter:
-    """An HDF5 file that grows as frames are computed, with only the appended frames in memory; it appears at the
-    end."""
+    """An HDF5 file that grows as frames are computed, with only appended ones in memory; it appears at the end."""
 
     def __init__(self, path: str | Path) -> None:
         self._path, self._stack = Path(path), ExitStack()
@@ -111,8 +110,7 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def read_arrays(path: Path, *names: str, optional: tuple[str, ...] = (), what: str = WHAT) -> dict[str, NDArray[Any]]:
-    """The arrays `names` of an NPZ or HDF5 file and, if present, `optional`; without names, all. Never executes a
-    pickle. Raises InputError."""
+    """Arrays of an NPZ or HDF5 file: `names` and, if there, `optional`; or all. Runs no pickle. Raises InputError."""
 
     def chosen(there: Collection[str]) -> list[str]:
         return [*names, *(name for name in optional if name in there)] or list(there)

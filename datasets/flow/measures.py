@@ -28,15 +28,18 @@ FRONT_QUANTILE = 0.995
 TAIL = (0.98, 0.999)
 """Shares of the volume p between which the front is fitted [-]."""
 TOE_FRACTION = 0.10
-
 AT_WALL = 0.01
 """A front within this share of the box's length from the wall ahead touches the wall, which then limits all fronts."""
 OUTLINE = 0.1
 """Thickness over a deposit's largest, above which a place in plan is covered [-]."""
 AFTER = 4
 """Time, in durations of the flow, until which a deposit must stay in place (`creep`)."""
+SHARES = 20
+"""Number of parts of equal volume whose places along x are compared between two deposits."""
 COLUMN = 3.0
 """Width of the columns in which two deposits are compared, over the larger distance between their particles [-]."""
+FACTORS = {"%": 100.0, "mm/s": 1000.0}
+"""Unit of tables -> number of these units in one SI unit."""
 
 Positions = NDArray[np.floating]
 Volumes = NDArray[np.floating]
@@ -120,10 +123,6 @@ def ends(positions: Positions, volume: Volumes) -> tuple[float, float]:
     return -front(-positions, volume), front(positions, volume)
 
 
-SHARES = 20
-"""Number of parts of equal volume whose places along x are compared between two deposits."""
-
-
 def equal_shares(positions: Positions, volume: Volumes) -> Floats:
     """The x [m] of the middles of `SHARES` equal parts of a deposit's volume, from the rear, shape [SHARES]."""
     x = positions[:, 0].astype(np.float64)
@@ -202,10 +201,6 @@ def error(title: str, unit: str = "%", *, exact: float = 0.0, signed: bool = Fal
     """A field of `Errors`: its title in tables, a unit of `FACTORS`, its exact value, whether it has a sign. Tables,
     logs and cards of models take their columns from these: to add an error is to add its field."""
     return field(metadata={"title": title, "unit": unit, "exact": exact, "sign": "+" if signed else ""}, **default)
-
-
-FACTORS = {"%": 100.0, "mm/s": 1000.0}
-"""Unit of tables -> number of these units in one SI unit."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -185,18 +185,17 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
     frames_read = (positions[0], positions[-1]) if lazily else (positions,)
     for key, array in (("velocity0", arrays["velocity0"]), *(("positions", part) for part in frames_read)):
         require(bool((np.abs(array) < GREATEST).all()), key, "finite numbers", "others")
-    time, friction, volume, mass = arrays["time"], arrays["friction"], arrays.get("volume"), arrays.get("mass")
+    time = arrays["time"]
     ascending = np.isfinite(time).all() and time[0] >= 0.0 and (np.diff(time) > 0.0).all()
     require(bool(ascending), "time", "ascending times of at least 0 s", "others")
-    require(bool((np.isfinite(friction) & (friction >= 0.0)).all()), "friction", "tan(phi) of at least 0", "others")
-    if volume is not None:
-        require(bool((np.isfinite(volume) & (volume > 0.0)).all()), "volume", "positive volumes", "others")
-    if (entry := arrays.get("entry_time")) is not None:
-        require(bool(np.isfinite(entry).all()), "entry_time", "finite times", "others")
-    if mass is not None:
-        fits = bool(mass.min() >= 0 and mass.max() < len(scene.masses))
-        expected = f"the index of one of {len(scene.masses)} masses for each of {particles} particles"
-        require(fits, "mass", expected, "others")
+    of_masses = f"the index of one of {len(scene.masses)} masses for each of {particles} particles"
+    for key, holds, expected in (
+        ("friction", lambda array: np.isfinite(array) & (array >= 0.0), "tan(phi) of at least 0"),
+        ("volume", lambda array: np.isfinite(array) & (array > 0.0), "positive volumes"),
+        ("entry_time", np.isfinite, "finite times"),
+        ("mass", lambda array: (array >= 0) & (array < len(scene.masses)), of_masses),
+    ):
+        require(key not in arrays or bool(holds(arrays[key]).all()), key, expected, "others")
     return Trajectory(
         positions=positions if lazily and positions.dtype == np.float32 else np.asarray(positions, np.float32),
         scene=scene,

@@ -29,6 +29,8 @@ from datasets.memory import require as require_memory
 from datasets.scene.parts import INFLOW, TOLERANCE, Domain, Mass, SceneLayout, keyed
 from datasets.schema import FARTHEST
 
+Within = Callable[[Floats], NDArray[np.bool_]]
+
 LATTICE = 40  # bytes per coordinate of a lattice while it is made
 FAINT = 0.01  # thickness of a layer over the height of a row below which a column gets no particle
 
@@ -43,7 +45,7 @@ class Filling:
     shares: Floats | None = None  # volume of each particle over the mean of all [-], [N]; None where all are alike
     lower: Floats  # lower corner of the box around the body [m], shape [D]
     upper: Floats  # upper corner [m], shape [D]
-    contains: Callable[[Floats], NDArray[np.bool_]]  # which of N places, one of each particle, are still in the body
+    contains: Within  # which of N places, one of each particle, are still in the body
     raised: Callable[[Floats], Floats] = np.copy  # places of the lattice where they are in the box, both [N, D] in m
     cover: Callable[[Floats], Floats] | None = None  # depth of places below the top [m], [N]; else below the highest
     thickness: Floats | None = None  # of a layer at the places of its lattice [m], shape [N]
@@ -173,9 +175,7 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     return Filling(lattice=lattice[within], spacing=spacing, volume=volume, **box, missed=missed)
 
 
-def missed_share(
-    within: NDArray[np.bool_], lower: Floats, upper: Floats, share: float, contains: Callable[[Floats], Any]
-) -> float:
+def missed_share(within: NDArray[np.bool_], lower: Floats, upper: Floats, share: float, contains: Within) -> float:
     """Share of a body that lies in places of its lattice whose neighbours, too, are not `within` it, by a finer one."""
     from scipy import ndimage
 
@@ -242,16 +242,13 @@ class Plan:
 
     def __init__(self, mass: Mass, domain: Domain, key: str) -> None:
         given, spatial = mass.thickness or 0.0, domain.dimension == 3
-        gridded = isinstance(given, tuple)
-        require(spatial or not gridded, f"{key}.thickness", "a number, in 3D that or rows of a grid", "rows")
-        for name in ("origin", "spacing"):
-            expected = "x and z of a grid of thicknesses, and only of that"
-            require((getattr(mass, name) is not None) == gridded, f"{key}.{name}", expected, "others")
+        rows = given if isinstance(given, tuple) else None
+        require(spatial or rows is None, f"{key}.thickness", "a number, in 3D that or rows of a grid", "rows")
+        check_grid(mass, rows, key, "thickness", "a grid of thicknesses")
         self.edges: tuple[Floats, ...] = ()
         """Edges of the cells around the given thicknesses, along each axis in plan [m]; empty for a single number."""
         self.values = np.array(given, np.float64)  # the thickness [m]: a number, or that of each cell
-        if isinstance(given, tuple):
-            check_grid(mass, given, key, "thickness")
+        if rows is not None:
             steps = zip(mass.origin or (), mass.spacing or (), self.values.shape, strict=True)
             self.edges = tuple(np.asarray(first + step * (np.arange(count + 1) - 0.5)) for first, step, count in steps)
         some = self.values.min() >= 0.0 and 0.0 < self.values.max() <= FARTHEST

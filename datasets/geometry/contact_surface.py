@@ -11,8 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from datasets.geometry.closed import pseudonormals
-from datasets.geometry.ground import CLOSING, TOUCHING, Floats, grid_triangles, interpolated
-from datasets.geometry.ground import ground_grid as grid_of
+from datasets.geometry.ground import CLOSING, TOUCHING, Floats, grid_triangles, ground_grid, interpolated
 from datasets.geometry.surface import Surface, solids_of, surface_in
 from datasets.scene.parts import Domain, SceneLayout, Solid
 
@@ -89,8 +88,7 @@ def has_faces(scene: SceneLayout) -> bool:
 
 
 def contact_surface_of(scene: SceneLayout) -> ContactSurface | None:
-    """The surface of all baffles and solids of `scene`, the same object for the same ones; None where it has none.
-    Raises InputError."""
+    """The surface of all baffles and solids of a scene, one object for equal ones; None without. Raises InputError."""
     if not scene.baffles and not scene.solids:
         return None
     if not has_field(scene):
@@ -117,7 +115,7 @@ def contact_surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[st
 
 def height_field(solid: Solid, key: str, number: int, domain: Domain) -> HeightField:
     """The raster of a terrain, to some cells beyond the box. Raises InputError."""
-    (x, z), heights, friction = grid_of(solid, key, domain)
+    (x, z), heights, friction = ground_grid(solid, key, domain)
     if solid.contact == "no-slip":
         friction = np.full((1, 1), np.inf)
     elif friction.min() == friction.max():

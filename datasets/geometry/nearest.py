@@ -61,8 +61,15 @@ class Search:
 
     def nearest(self, points: Floats, within: float) -> Nearest:
         """The nearest places for `points` [N, D]; some nearby place for points farther than `within` [m]."""
-        bound, nearest_centre, face = self.bound(points)
-        best = np.full(len(points), np.inf)
+        # Upper and lower bounds of the distance [m], and the face of the upper one.
+        bound, nearest_centre, best = np.full((3, len(points)), np.inf)
+        face = np.zeros(len(points), np.int64)
+        for faces, tree, radius in self.classes:
+            centre, number = tree.query(points)
+            _, distance, _ = feet(self.surface.corners[faces[number]], points)
+            face = np.where(distance < bound, faces[number], face)
+            bound = np.minimum(bound, distance)
+            nearest_centre = np.minimum(nearest_centre, centre - radius)
         close = np.flatnonzero(nearest_centre <= within)
         for point, candidate in self.pairs(points[close], bound[close]):
             point = close[point]
@@ -80,18 +87,6 @@ class Search:
         normal = np.where(apart[:, None], direction, pseudonormal)
         signed = np.where(nearest_centre <= within, sign * distance, np.inf)
         return Nearest(distance=signed, foot=foot, normal=normal, face=face)
-
-    def bound(self, points: Floats) -> tuple[Floats, Floats, Integers]:
-        """Upper and lower bounds of the distance [m] of each point, and the face of the upper one, all of shape [N]."""
-        bound, nearest_centre = np.full(len(points), np.inf), np.full(len(points), np.inf)
-        face = np.zeros(len(points), np.int64)
-        for faces, tree, radius in self.classes:
-            centre, number = tree.query(points)
-            _, distance, _ = feet(self.surface.corners[faces[number]], points)
-            face = np.where(distance < bound, faces[number], face)
-            bound = np.minimum(bound, distance)
-            nearest_centre = np.minimum(nearest_centre, centre - radius)
-        return bound, nearest_centre, face
 
     def pairs(self, points: Floats, bound: Floats) -> list[tuple[Integers, Integers]]:
         """Points and faces that may lie within `bound` of them, in portions."""

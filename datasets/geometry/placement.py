@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.geometry.bodies import Plan, filling, lattice_of
-from datasets.geometry.closed import Body
 from datasets.geometry.contact_surface import contact_surface_of, height_field
 from datasets.geometry.ground import CLOSING, TOUCHING, Floats, plan_axes
 from datasets.geometry.nearest import inside
@@ -94,22 +93,18 @@ def shape_of(body: Mass | Solid) -> Solid:
 @lru_cache(maxsize=256)
 def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> bool:
     """Whether two shapes share more than a margin of rounding."""
-    margin = 10.0 * TOUCHING
-    a = closed_body(first, key, domain)
-    b = closed_body(second, key, domain) if domain.dimension == 2 else body_near(second, key, domain, a.vertices)
+    margin, a = 10.0 * TOUCHING, closed_body(first, key, domain)
+    if domain.dimension == 3 and second.kind == "terrain":
+        # Only what lies below the first solid and around it.
+        low, high, field = a.vertices.min(axis=0), a.vertices.max(axis=0), height_field(second, key, 0, domain)
+        deep = float(min(low[1], field.heights.min())) - 1.0
+        b = raster_body(*field.around(low[::2], high[::2]), deep=deep, key=key)
+    else:
+        b = closed_body(second, key, domain)
     if domain.dimension == 2:
         return bool(shapely.Polygon(a.vertices).buffer(-margin).intersects(shapely.Polygon(b.vertices)))
     solid, other = (manifold(body.vertices, body.faces) for body in (a, b))
     return bool((solid ^ other).volume() > margin * solid.surface_area())
-
-
-def body_near(solid: Solid, key: str, domain: Domain, places: Floats) -> Body:
-    """The surface of a solid in 3D; of a terrain below `places` [m], shape [N, 3], and around them."""
-    if solid.kind != "terrain":
-        return closed_body(solid, key, domain)
-    field, plan = height_field(solid, key, 0, domain), places[:, ::2]
-    posts = field.around(plan.min(axis=0), plan.max(axis=0))
-    return raster_body(*posts, deep=float(min(places[:, 1].min(), field.heights.min())) - 1.0, key=key)
 
 
 def remembers_gaps(scene: SceneLayout) -> bool:

@@ -83,9 +83,8 @@ def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Fl
     distance = np.stack([shapely.distance(middle, shapely.linearrings(body.vertices)) for body in bodies])
     # Faces that coincide go to the first of their solids.
     owner = np.argmax(distance <= distance.min(axis=0) + 10.0 * gap, axis=0).astype(np.int32)
-    shapes = [Polygon(body.vertices) for body in bodies]
-    check_corners(vertices, owner, shapes, [body.key for body in bodies], gap)
-    check_near_corners(shapes, [body.key for body in bodies], NEARLY * gap)
+    check_corners(vertices, owner, bodies, gap)
+    check_near_corners(bodies, NEARLY * gap)
     friction = np.zeros(faces.shape)
     for number, body in enumerate(bodies):
         mine = faces[owner == number]
@@ -94,23 +93,23 @@ def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Fl
     return vertices, faces, friction, owner
 
 
-def check_corners(
-    vertices: Floats, owner: NDArray[np.int32], shapes: list[Polygon], keys: list[str], gap: float
-) -> None:
+def check_corners(vertices: Floats, owner: NDArray[np.int32], bodies: list[Body], gap: float) -> None:
     """Raise InputError if solids in 2D meet only in a point, unless `gap` [m] on either side closes it. At such a point
     the boundary of their union has two corners in one place [m], [V, 2]; owner: the solid of each, [V]."""
     pairs = cKDTree(vertices).query_pairs(100.0 * gap, output_type="ndarray")
     for first, second in sorted({(min(pair), max(pair)) for pair in owner[pairs].tolist()}):
-        if first == second or shapes[first].distance(shapes[second]) > 2.0 * gap:
+        one, other = (Polygon(bodies[number].vertices) for number in (first, second))
+        if first == second or one.distance(other) > 2.0 * gap:
             continue
         # Two corners are also near each other where an edge that is shared ends with a step as small as this.
-        if shapes[first].boundary.intersection(shapes[second].buffer(2.0 * gap)).length <= 1.0e3 * gap:
-            raise meet(keys[first], keys[second], "an edge", "in a point")
+        if one.boundary.intersection(other.buffer(2.0 * gap)).length <= 1.0e3 * gap:
+            raise meet(bodies[first].key, bodies[second].key, "an edge", "in a point")
 
 
-def check_near_corners(shapes: list[Polygon], keys: list[str], near: float) -> None:
+def check_near_corners(bodies: list[Body], near: float) -> None:
     """Raise InputError if solids in 2D come within `near` [m] only in a point, as rounded corners do: the boundary of
     one is close to the other over less than `POINTED` times that, unless a third covers it."""
+    shapes = [Polygon(body.vertices) for body in bodies]
     pairs = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=near)
     for first, second in pairs.T[pairs[0] < pairs[1]].tolist():
         one, other = shapes[first], shapes[second]
@@ -121,7 +120,7 @@ def check_near_corners(shapes: list[Polygon], keys: list[str], near: float) -> N
         between = shapely.shortest_line(one, other).centroid
         thirds = (shape for number, shape in enumerate(shapes) if number not in (first, second))
         if not any(third.intersects(between) for third in thirds):
-            raise meet(keys[first], keys[second], "an edge", f"in a point but for {apart:.2g} m")
+            raise meet(bodies[first].key, bodies[second].key, "an edge", f"in a point but for {apart:.2g} m")
 
 
 def friction_at(body: Body, positions: Floats) -> Floats:

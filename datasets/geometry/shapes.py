@@ -72,8 +72,14 @@ def check_rows(rows: Rows, key: str, width: int, *, least: int = 1) -> None:
         check_vector(row, f"{key}[{index}]", width)
 
 
-def check_grid(shape: Solid | Mass | Water, values: Rows, key: str, name: str) -> None:
-    """Raise InputError unless `values` in key `name` are numbers on a grid in x and z, for a surface 2 x 2 or more."""
+def check_grid(shape: Solid | Mass | Water, values: Rows | None, key: str, name: str, what: str) -> None:
+    """Raise InputError unless `values` in key `name` are numbers on a grid in x and z, for a surface 2 x 2 or more; or,
+    without any, if there is a grid. what: these values, in words."""
+    for part in ("origin", "spacing"):
+        gridded = (getattr(shape, part) is None) == (values is None)
+        require(gridded, f"{key}.{part}", f"x and z of {what}, and only of that", "others")
+    if values is None:
+        return
     least = 1 if name == "thickness" else 2
     check_vector(shape.origin or (), f"{key}.origin", 2)
     check_vector(shape.spacing or (), f"{key}.spacing", 2)
@@ -97,26 +103,18 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
         require(first != second, place, "different points", f"{list(first)} twice")
         require(rises, place, "x not to fall from point to point", f"{second[0]:g} after {first[0]:g}")
     if solid.heights is not None:
-        check_grid(solid, solid.heights, key, "heights")
+        check_grid(solid, solid.heights, key, "heights", "a terrain")
     if solid.corner is not None:
         check_vector(solid.corner, f"{key}.corner", 2)
-    check_friction(solid, key)
-    if isinstance(solid.turbulence, tuple):
-        require(solid.heights is not None, f"{key}.turbulence", f"a single number of a {solid.kind}", "more")
-        rows, heights = ([len(row) for row in values or ()] for values in (solid.turbulence, solid.heights))
-        expected = "a coefficient for every height, in the same rows"
-        require(rows == heights, f"{key}.turbulence", expected, f"{len(rows)} rows")
-
-
-def check_friction(solid: Solid, key: str) -> None:
-    """Raise InputError for friction that does not fit the shape: a number, or one for every place."""
-    friction, key = solid.friction, f"{key}.friction"
-    if isinstance(friction, int | float):
-        return
-    require(solid.contact == "coulomb", key, "a single number, or none, of a surface without slip", "more")
-    places = solid.points or (solid.vertices if solid.kind == "polygon" else None) or solid.heights
-    require(places is not None, key, f"a single number of a {solid.kind}", "more")
-    counts = [len(row) if isinstance(row, tuple) else 0 for row in friction]
-    expected = [len(row) if solid.heights else 0 for row in places or ()]
-    one_each = "a coefficient for every height, in the same rows" if solid.heights else f"{len(expected)} coefficients"
-    require(counts == expected, key, one_each, f"{len(counts)} rows" if any(counts) else len(counts))
+    corners = solid.vertices if solid.kind == "polygon" else None
+    for name, places in (("friction", solid.points or corners or solid.heights), ("turbulence", solid.heights)):
+        values, place = getattr(solid, name), f"{key}.{name}"
+        if not isinstance(values, tuple):
+            continue
+        slips = solid.contact == "coulomb" or name == "turbulence"
+        require(slips, place, "a single number, or none, of a surface without slip", "more")
+        require(places is not None, place, f"a single number of a {solid.kind}", "more")
+        counts = [len(row) if isinstance(row, tuple) else 0 for row in values]
+        expected = [len(row) if solid.heights else 0 for row in places or ()]
+        said = "a coefficient for every height, in the same rows" if solid.heights else f"{len(expected)} coefficients"
+        require(counts == expected, place, said, f"{len(counts)} rows" if any(counts) else len(counts))

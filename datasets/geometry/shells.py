@@ -1,7 +1,6 @@
 """Closed surfaces of triangles in 3D, by manifold3d: turned outwards, cut, continued, united, sliced horizontally."""
 
 import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
@@ -24,8 +23,7 @@ MOST_TRIANGLES = 20_000
 def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = None) -> Manifold:
     """A closed surface in the form of the library, with the friction of its vertices if given."""
     values = vertices if friction is None else np.column_stack([vertices, friction])
-    mesh = Mesh64(np.ascontiguousarray(values), np.ascontiguousarray(triangles, np.uint64))
-    return Manifold(mesh)
+    return Manifold(Mesh64(np.ascontiguousarray(values), np.ascontiguousarray(triangles, np.uint64)))
 
 
 def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, Integers]:
@@ -126,8 +124,11 @@ def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers,
 def check_lines(bodies: list[Body], parts: list[Manifold], gap: float) -> None:
     """Raise InputError if solids in 3D meet only in a point or along a line, which no third solid covers. parts: the
     solids, each grown by `gap` [m]; those within NEARLY gaps of each other grow by half of that."""
-    near = NEARLY * gap
-    for first, second in near_pairs(parts, near):
+    near, bounds = NEARLY * gap, np.array([part.bounding_box() for part in parts]).reshape(-1, 2, 3)
+    for first, second in combinations(range(len(parts)), 2):
+        lower, upper = bounds[[first, second], 0].max(axis=0), bounds[[first, second], 1].min(axis=0)
+        if (lower - upper > near).any() or parts[first].num_tri() + parts[second].num_tri() > MOST_TRIANGLES:
+            continue
         pair, wide, narrow, apart = [parts[first], parts[second]], gap, NARROW, ""
         if (pair[0] ^ pair[1]).is_empty():
             wide, narrow, chosen = 0.5 * near, 2.0 * POINTED, (bodies[first], bodies[second])
@@ -153,15 +154,6 @@ def line_shared(one: Manifold, other: Manifold, others: list[Manifold], gap: flo
         if left.volume() > 0.5 * shared.volume():
             return "along a line" if length > narrow * gap else "in a point"
     return ""
-
-
-def near_pairs(parts: list[Manifold], near: float) -> Iterator[tuple[int, int]]:
-    """Index pairs of solids whose boxes come within `near` [m] of each other and that are not too fine to compare."""
-    bounds = np.array([part.bounding_box() for part in parts]).reshape(-1, 2, 3)
-    for first, second in combinations(range(len(parts)), 2):
-        lower, upper = bounds[[first, second], 0].max(axis=0), bounds[[first, second], 1].min(axis=0)
-        if (lower - upper <= near).all() and parts[first].num_tri() + parts[second].num_tri() <= MOST_TRIANGLES:
-            yield first, second
 
 
 def grown(body: Body, gap: float) -> Floats:

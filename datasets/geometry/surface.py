@@ -63,8 +63,7 @@ class Surface:
 
 
 def surface_of(scene: SceneLayout) -> Surface | None:
-    """The surface of all baffles and solids of `scene`, cached as one object for equal ones; None without any.
-    Raises InputError."""
+    """The surface of all baffles and solids of a scene, one object for equal ones; None without. Raises InputError."""
     if not scene.baffles and not scene.solids:
         return None
     return surface_in(scene.domain, *solids_of(scene))
@@ -150,9 +149,8 @@ def ground_body(solid: Solid, key: str, box: Domain) -> Body:
     deep = min(0.0, float(heights.min())) - BEYOND * box.cell
     if len(axes) == 1:
         x, points = axes[0], np.stack([axes[0], heights], axis=1)
-        under = np.array([[x[-1], deep], [x[0], deep]])
         # The line runs towards +x with the solid on its right: from its end back to its start is anticlockwise.
-        vertices = np.concatenate([points[::-1], under[::-1]])
+        vertices = np.concatenate([points[::-1], [[x[0], deep], [x[-1], deep]]])
         friction = np.concatenate([friction[::-1], friction[[0, -1]]])
         return Body(vertices=vertices, faces=ring(len(vertices)), friction=friction, key=key)
     x, z = axes

@@ -12,7 +12,7 @@ from datasets.errors import InputError, require
 from datasets.geometry.shapes import check_grid, check_rows, check_shape, check_solid, check_vector, usual
 from datasets.scene.grid_field import FRICTION, THICKNESS, VELOCITIES, Field
 from datasets.scene.material import ANGLES, MOHR_COULOMB
-from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, SceneLayout, Water, keyed
+from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Baffle, Mass, SceneLayout, Water, keyed
 from datasets.scene.water import consolidation, saturated, unlikely_water
 from datasets.schema import FARTHEST
 
@@ -84,10 +84,9 @@ def check(scene: SceneLayout) -> None:
         extents = zip(box.lower, box.size, domain.size, strict=True)
         inside = all(low >= -TOLERANCE and low + size <= limit + TOLERANCE for low, size, limit in extents)
         require(inside, key, f"a box inside the domain {list(domain.size)}", f"{list(box.lower)} + {list(box.size)}")
-    sticks = [scene.friction_of(baffle) == ROUGH for baffle in scene.baffles]
-    sticks += [solid.contact != "coulomb" for solid in scene.solids]
-    for (key, solid), stuck in zip(keyed(scene, "baffles", "solids").items(), sticks, strict=True):
-        slides = solid.turbulence is None or not stuck
+    for key, solid in keyed(scene, "baffles", "solids").items():
+        sticks = scene.friction_of(solid) == ROUGH if isinstance(solid, Baffle) else solid.contact != "coulomb"
+        slides = solid.turbulence is None or not sticks
         require(slides, f"{key}.turbulence", "none of a surface on which nothing slides", solid.turbulence)
     if scene.channel is not None:
         require(dimension == 2, "channel", "none in 3D, where the box or solids are the walls", "one")
@@ -181,25 +180,19 @@ def check_water(scene: SceneLayout) -> None:
     require(water.level is None or water.table is None, "water.table", "none beside a level", "one")
     level = water.pool is None or scene.slope_deg == 0.0
     require(level, "water.pool", "none in a tilted box, in which standing water is not level", f"{water.pool} m")
-    for name in ("origin", "spacing"):
-        gridded = water.table is not None and scene.dimension == 3
-        expected = "x and z of a table in 3D, and only of that"
-        require((getattr(water, name) is not None) == gridded, f"water.{name}", expected, "others")
-    if water.table is not None and scene.dimension == 3:
-        check_grid(water, water.table, "water", "table")
-    elif water.table is not None:
+    check_grid(water, water.table if scene.dimension == 3 else None, "water", "table", "a table in 3D")
+    if water.table is not None and scene.dimension == 2:
         check_rows(water.table, "water.table", 2, least=2)
         rises = all(second[0] > first[0] for first, second in itertools.pairwise(water.table))
         require(rises, "water.table", "points from small to large x", "others")
     for key, mass in keyed(scene, "masses").items():
+        if scene.material_of(mass).saturated:
+            continue
         above = -math.inf if water.pool is None else water.pool - mass.lower[1]
-        wetted = scene.material_of(mass).saturated or above <= TOLERANCE
-        require(
-            wetted, "water.pool", f"none above the foot of {key}, which is not saturated", f"{above:.3g} m above it"
-        )
-        ratio = mass.initial_pore_pressure_ratio
-        holds = ratio is None or scene.material_of(mass).saturated
-        require(holds, f"{key}.initial_pore_pressure_ratio", "none of a material that is not saturated", ratio)
+        dry = f"none above the foot of {key}, which is not saturated"
+        require(above <= TOLERANCE, "water.pool", dry, f"{above:.3g} m above it")
+        ratio, place = mass.initial_pore_pressure_ratio, f"{key}.initial_pore_pressure_ratio"
+        require(ratio is None, place, "none of a material that is not saturated", ratio)
 
 
 def resting_load(scene: SceneLayout, mass: Mass) -> float:

@@ -193,8 +193,7 @@ def mass_counts(scene: Scene) -> list[int]:
 
 def stretches(scene: Scene) -> list[Floats]:
     """Thickness by a field over the layer's own, for the particles of each mass [-]; shape [1] where it is 1. The field
-    moves the particles of a layer up or down in proportion and scales their volumes, so that a flow depends on it
-    smoothly."""
+    moves the particles of a layer up or down in proportion and scales their volumes: a flow depends on it smoothly."""
     factors = [np.ones(1) for _ in scene.masses]
     for field in scene.fields:
         for index in range(len(factors)) if field.mass is None else (field.mass,):
@@ -250,12 +249,11 @@ def mass_particle_volumes(scene: Scene) -> Floats:
 
 def initial_volumes(scene: Scene) -> Floats:
     """Initial volume of each particle [m^D], shape [N]."""
-    volumes, shares = np.repeat(mass_particle_volumes(scene), mass_counts(scene)), volume_shares(scene)
+    counts, shares = mass_counts(scene), volume_shares(scene)
+    volumes = np.repeat(mass_particle_volumes(scene), counts)
     if all(len(uneven) == 1 for uneven in shares):
         return volumes
-    factors = [
-        np.broadcast_to(uneven / uneven.mean(), count) for uneven, count in zip(shares, mass_counts(scene), strict=True)
-    ]
+    factors = [np.broadcast_to(part / part.mean(), count) for part, count in zip(shares, counts, strict=True)]
     return np.asarray(volumes * np.concatenate(factors))
 
 
@@ -282,9 +280,9 @@ def unresolved(scene: Scene, cells: float) -> str:
     continues across its thin side in another mass of its material, or has a single particle, does not count."""
     cell, thin = scene.domain.cell, dict[str, float]()
     for (key, mass), count in zip(keyed(scene, "masses").items(), mass_counts(scene), strict=True):
-        across = thinnest(scene, mass) if count > 1 else math.inf
+        across = min(mass.size) if mass.kind != "layer" else min(height(scene, mass), *mass.size[::2])
         goes_on = mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size)))
-        if across < cells * cell - TOLERANCE and not goes_on:
+        if count > 1 and across < cells * cell - TOLERANCE and not goes_on:
             thin[key] = across
     if not thin:
         return ""
@@ -292,13 +290,6 @@ def unresolved(scene: Scene, cells: float) -> str:
     finest, coarsest = (thickness / number for number in reversed(RESOLVED))
     said = f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid hardly resolves it"
     return f"{said}; a cell of {finest:.2g} to {coarsest:.2g} m would"
-
-
-def thinnest(scene: Scene, mass: Mass) -> float:
-    """The smallest extent of a mass [m]; for a layer, its largest thickness if that is less."""
-    if mass.kind != "layer":
-        return min(mass.size)
-    return min(height(scene, mass), *(length for axis, length in enumerate(mass.size) if axis != 1))
 
 
 def continues(scene: Scene, mass: Mass, axis: int) -> bool:

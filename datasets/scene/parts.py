@@ -56,8 +56,7 @@ class Domain(Record):
     cell: Length
     """Edge of a grid cell [m]."""
     origin: Vector | None = None
-    """Map coordinates of the lower corner [m]: easting, elevation, northing, in 2D x and elevation; default: none.
-    """
+    """Map coordinates of its lower corner [m]: easting, elevation, northing, in 2D x, elevation; default: none."""
     crs: str | None = None
     """Reference system of these, as an authority's code or in WKT."""
 
@@ -373,8 +372,7 @@ class SceneLayout(Record):
 
     @property
     def particle_volume(self) -> float:
-        """Nominal volume of a particle [m^D] in a lattice that fits; `datasets.scene.particles` computes the volumes of
-        each mass."""
+        """Nominal volume of a particle [m^D] in a lattice that fits; of each mass: `datasets.scene.particles`."""
         return self.particle_spacing**self.dimension
 
     @property

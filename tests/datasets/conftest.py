@@ -12,6 +12,9 @@ from datasets.files import write_json
 from datasets.scene.particles import initial_particles
 from tests.scenes import flow_of, scene_of
 
+FRAMES = 6
+SPLITS = (Split.TRAIN, Split.TRAIN, Split.VALID, Split.TEST)
+
 
 @pytest.fixture
 def scene() -> Scene:
@@ -29,23 +32,16 @@ def trajectory(scene: Scene) -> Trajectory:
     return flow_of(scene, positions, velocity0=velocity0, friction=friction, summary={"steps": 7})
 
 
-FRAMES = 6
-SPLITS = (Split.TRAIN, Split.TRAIN, Split.VALID, Split.TEST)
-
-
 def toy_scene(dimension: int, seed: int) -> Scene:
     """A block that slides at 1 m/s towards two baffles."""
     if dimension == 2:
-        size, cell = (0.5, 0.25), 0.01
-        mass = Mass(lower=(0.05, 0.0), size=(0.1, 0.08), velocity=(1.0, 0.0))
-        baffles = (Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)), Baffle(lower=(0.373, 0.01), size=(0.004, 0.08)))
+        size, cell, body = (0.5, 0.25), 0.01, ((0.05, 0.0), (0.1, 0.08))
+        boxes = ((0.3, 0.0), (0.05, 0.1)), ((0.373, 0.01), (0.004, 0.08))
     else:
-        size, cell = (0.4, 0.2, 0.16), 0.02
-        mass = Mass(lower=(0.0, 0.0, 0.02), size=(0.1, 0.08, 0.12), velocity=(1.0, 0.0, 0.0))
-        baffles = (
-            Baffle(lower=(0.2, 0.0, 0.02), size=(0.033, 0.1, 0.04)),
-            Baffle(lower=(0.3, 0.0, 0.1), size=(0.05, 0.1, 0.041)),
-        )
+        size, cell, body = (0.4, 0.2, 0.16), 0.02, ((0.0, 0.0, 0.02), (0.1, 0.08, 0.12))
+        boxes = ((0.2, 0.0, 0.02), (0.033, 0.1, 0.04)), ((0.3, 0.0, 0.1), (0.05, 0.1, 0.041))
+    mass = Mass(lower=body[0], size=body[1], velocity=(1.0, 0.0, 0.0)[:dimension])
+    baffles = tuple(Baffle(lower=lower, size=extent) for lower, extent in boxes)
     sand, duration = Material(friction_deg=30.0 + seed), (FRAMES - 1) * 0.0025
     return scene_of(mass, size=size, cell=cell, material=sand, baffles=baffles, duration=duration, seed=seed)
 
@@ -63,14 +59,12 @@ def toy(dimension: int, seed: int = 0) -> Trajectory:
 
 def toy_dataset(folder: Path, dimension: int) -> Path:
     """A dataset of Talus with two trajectories to train on and one each to validate and to test."""
-    entries, statistics = [], None
+    entries, motions = [], []
     for seed, split in enumerate(SPLITS):
         trajectory = toy(dimension, seed)
         trajectory.save(folder / split.value / f"toy-{seed:04d}.npz")
         entries.append(Entry(split=split, name=f"toy-{seed:04d}", scene=trajectory.scene))
         if split is Split.TRAIN:
-            motion = motion_statistics(trajectory.positions, trajectory.scene.frame_dt)
-            statistics = motion if statistics is None else statistics + motion
-    described = metadata("toy", entries, seed=0, statistics=statistics)
-    write_json(folder / "metadata.json", described)
+            motions.append(motion_statistics(trajectory.positions, trajectory.scene.frame_dt))
+    write_json(folder / "metadata.json", metadata("toy", entries, seed=0, statistics=sum(motions[1:], motions[0])))
     return folder

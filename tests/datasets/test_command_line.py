@@ -14,6 +14,27 @@ from datasets.command_line import run
 from datasets.errors import InputError, WorkFailed
 from datasets.processes import Terminated, stopping
 
+ROOT = Path(__file__).parents[2]
+SPAWNED = """
+import sys, time
+from multiprocessing import get_context
+from datasets import processes
+
+def work(pipe):
+    sys.platform = {platform!r}
+    processes.end_with_parent()
+    pipe.send(None)
+    time.sleep(60.0)
+
+if __name__ == "__main__":
+    here, there = get_context("spawn").Pipe()
+    child = get_context("spawn").Process(target=work, args=(there,))
+    child.start()
+    here.recv()
+    print(child.pid, flush=True)
+    time.sleep(60.0)
+"""
+
 
 def command(scene: str, *, out: Path, count: int = 1) -> int | None:
     """Do what `scene` says."""
@@ -63,28 +84,6 @@ def test_a_mistake_of_ours_keeps_its_traceback(mistake: Exception) -> None:
 
     with pytest.raises(type(mistake)):
         run(broken, "do", [])
-
-
-ROOT = Path(__file__).parents[2]
-SPAWNED = """
-import sys, time
-from multiprocessing import get_context
-from datasets import processes
-
-def work(pipe):
-    sys.platform = {platform!r}
-    processes.end_with_parent()
-    pipe.send(None)
-    time.sleep(60.0)
-
-if __name__ == "__main__":
-    here, there = get_context("spawn").Pipe()
-    child = get_context("spawn").Process(target=work, args=(there,))
-    child.start()
-    here.recv()
-    print(child.pid, flush=True)
-    time.sleep(60.0)
-"""
 
 
 @pytest.mark.parametrize("platform", ["linux", "elsewhere"])

@@ -71,8 +71,7 @@ def test_the_command(tmp_path: Path) -> None:
     for name, trajectory in {"one": flow, "other": shifted(flow, APART)}.items():
         trajectory.save(tmp_path / name / "trajectory.npz")
     out = tmp_path / "out"
-    arguments = [str(tmp_path / "one"), str(tmp_path / "other"), "--out", str(out)]
-    assert run(command, "compare", arguments) == 0
+    assert run(command, "compare", [str(tmp_path / "one"), str(tmp_path / "other"), "--out", str(out)]) == 0
     comparison = json.loads((out / "comparison.json").read_text())
     assert comparison["runs"] == ["one", "other"]
     assert comparison["end"]["difference"]["transport"] == pytest.approx(APART, rel=1e-5)

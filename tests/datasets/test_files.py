@@ -17,6 +17,10 @@ from datasets.files import PART, replacing, write_json
 from datasets.lock import HOLDER, LOCK, locked
 from tests.refusals import refused
 
+ROOT = Path(__file__).parents[2]
+HOLD = """import sys; from pathlib import Path; from datasets.lock import locked
+with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"""
+
 
 def test_a_failing_block_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "result.txt"
@@ -39,18 +43,11 @@ def test_json_has_no_nan(tmp_path: Path) -> None:
     assert json.loads(path.read_text(), parse_constant=pytest.fail) == {"loss": [None, 0.5], "best": [None, 1]}
 
 
-ROOT = Path(__file__).parents[2]
-HOLD = "import sys; from pathlib import Path; from datasets.lock import locked\nwith locked(Path(sys.argv[1])): "
-
-
 @contextmanager
 def holding(folder: Path) -> Iterator["subprocess.Popen[str]"]:
     """A process that holds `folder` until it is killed."""
-    code = f"{HOLD}print('held', flush=True); sys.stdin.read()"
-    with subprocess.Popen(
-        [sys.executable, "-c", code, str(folder)],
-        cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
+    command, pipe = [sys.executable, "-c", HOLD, str(folder)], subprocess.PIPE
+    with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, text=True) as process:
         assert process.stdout.readline() == "held\n"
         yield process
         process.kill()

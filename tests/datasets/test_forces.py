@@ -78,8 +78,7 @@ def test_after_rest_the_last_force_goes_on(flow: Trajectory) -> None:
 
 
 def test_what_cannot_be(flow: Trajectory) -> None:
-    bare = dataclasses.replace(flow, solid_impulse=None, summary={})
-    refused(forces_of, bare, said="recorded the momentum")
+    refused(forces_of, dataclasses.replace(flow, solid_impulse=None, summary={}), said="recorded the momentum")
     refused(forces_of, flow, window=0.3, said="window of 0 to 0.2 s, got 0.3 s")
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -20,10 +21,15 @@ from tests.refusals import refused_by
 from tests.scenes import flow_of
 
 
-def scene_of(size: tuple[float, ...], *boxes: tuple[tuple[float, ...], tuple[float, ...]], cell: float = 0.05) -> Scene:
-    """Boxes of sand (lower corner, size) in a box."""
-    masses = (Mass(lower=lower, size=extent) for lower, extent in boxes)
-    return scenes.scene_of(*masses, size=size, cell=cell, frame_dt=0.1, jitter=0.0)
+def scene_of(size: tuple[float, ...], *masses: Mass | tuple[tuple[float, ...], ...], **changes: Any) -> Scene:
+    """Masses, or boxes of sand (lower corner, size), in a box."""
+    bodies = (mass if isinstance(mass, Mass) else Mass(lower=mass[0], size=mass[1]) for mass in masses)
+    return scenes.scene_of(*bodies, size=size, **{"cell": 0.05, "frame_dt": 0.1, "jitter": 0.0} | changes)
+
+
+def lying(scene: Scene) -> Trajectory:
+    """The particles of a scene where they begin."""
+    return flow_of(scene, [initial_particles(scene).positions])
 
 
 def sliding(scene: Scene) -> Trajectory:
@@ -57,8 +63,7 @@ def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None
     # The upper half slides at 2 m/s, the lower one at 1 m/s; then all stops.
     speeds = np.where(lower, 1.0, 2.0)[:, None] * [1.0, 0.0, 0.0]
     velocities = np.array([speeds, speeds, np.zeros_like(speeds)], np.float32)
-    flow = flow_of(scene, [start] * 3, velocities=velocities)
-    maps = maps_of(flow, 0.05)
+    maps = maps_of(flow_of(scene, [start] * 3, velocities=velocities), 0.05)
     inside = maps.thickness > 0.099
     assert inside.sum() == 4
     np.testing.assert_allclose(maps.velocity[inside], 1.5, rtol=1e-6)
@@ -72,8 +77,7 @@ def test_arrival_and_depth_do_not_depend_on_how_often_a_flow_was_kept() -> None:
     start, velocity = initial_particles(scene).positions, np.array([2.0, 0.0, 0.0])
     frames = [start + 0.3 * number * velocity for number in range(3)]
     velocities = np.tile(velocity.astype(np.float32), (3, len(start), 1))
-    flow = flow_of(scene, frames, time=0.3 * np.arange(3.0), velocities=velocities)
-    maps = maps_of(flow, 0.1)
+    maps = maps_of(flow_of(scene, frames, time=0.3 * np.arange(3.0), velocities=velocities), 0.1)
     x = maps.grid.axes[0]
     middle, passed = maps.grid.nodes[1] // 2, (x > 0.5) & (x < 1.6)
     np.testing.assert_allclose(maps.depth[passed, middle], 0.1, rtol=0.02)
@@ -90,9 +94,7 @@ def test_depth_normal_to_the_bed_is_the_vertical_one_times_the_cosine() -> None:
     slope = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((1.0, 1.0), (0.0, 0.0)))
     layer = Mass(kind="layer", thickness=0.1, outline=((0.2, 0.0), (0.6, 0.0), (0.6, 0.5), (0.2, 0.5)))
     wall = Baffle(lower=(0.8, 0.0, 0.0), size=(0.1, 1.2, 0.2))
-    scene = scenes.scene_of(layer, size=(1.0, 1.5, 0.5), cell=0.05, jitter=0.0)
-    scene = dataclasses.replace(scene, solids=(slope,), baffles=(wall,))
-    maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
+    maps = maps_of(lying(scene_of((1.0, 1.5, 0.5), layer, solids=(slope,), baffles=(wall,))), 0.05)
     inside = maps.depth > 0.09
     assert inside.sum() >= 50
     np.testing.assert_allclose(maps.normal_depth[inside], maps.depth[inside] / np.sqrt(2.0), rtol=1e-5)
@@ -101,9 +103,8 @@ def test_depth_normal_to_the_bed_is_the_vertical_one_times_the_cosine() -> None:
 def test_the_ground_of_terrain_and_baffles() -> None:
     terrain = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((0.3, 0.3), (0.1, 0.1)))
     baffle = Baffle(lower=(0.6, 0.0, 0.0), size=(0.11, 0.4, 0.2))
-    scene = scene_of((1.0, 0.8, 0.5), ((0.2, 0.5, 0.1), (0.2, 0.1, 0.2)))
-    scene = dataclasses.replace(scene, solids=(terrain,), baffles=(baffle,))
-    maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
+    box = (0.2, 0.5, 0.1), (0.2, 0.1, 0.2)
+    maps = maps_of(lying(scene_of((1.0, 0.8, 0.5), box, solids=(terrain,), baffles=(baffle,))), 0.05)
     x, z = np.meshgrid(*maps.grid.axes, indexing="ij")
     on = (x > 0.59) & (x < 0.71) & (z < 0.2)
     np.testing.assert_allclose(maps.ground, np.where(on, 0.4, 0.3 - 0.2 * x), atol=1e-6)
@@ -158,9 +159,8 @@ def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path) -> None:
     """A slope that falls to the east; the box begins 10 m east and 5 m north of the corner of its UTM zone's raster."""
     grid = {"origin": (0.0, 0.0), "spacing": (20.0, 30.0), "heights": ((15.0, 15.0), (5.0, 5.0))}
     slope = Solid(kind="terrain", **grid, corner=(690_010.0, 5_300_005.0), crs="EPSG:25832")
-    scene = scene_of((20.0, 30.0, 30.0), ((2.0, 18.0, 22.0), (4.0, 2.0, 6.0)), cell=1.0)
-    scene = dataclasses.replace(scene, solids=(slope,))
-    flow_of(scene, [initial_particles(scene).positions]).save(tmp_path / "trajectory.npz")
+    scene = scene_of((20.0, 30.0, 30.0), ((2.0, 18.0, 22.0), (4.0, 2.0, 6.0)), cell=1.0, solids=(slope,))
+    lying(scene).save(tmp_path / "trajectory.npz")
     assert run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path)]) == 0
     with rasterio.open(tmp_path / "thickness.tif") as raster:
         assert raster.crs.to_epsg() == 25832
@@ -175,9 +175,7 @@ def test_the_threshold_is_at_most_half_of_the_thinnest_layer(thickness: object, 
     """A layer of less than a spacing of particles has maps; beside it stands a thick mass."""
     extra = {"origin": (0.4, 0.2), "spacing": (0.2, 0.2)} if isinstance(thickness, tuple) else {}
     layer = Mass(kind="layer", thickness=thickness, outline=((0.3, 0.1), (0.7, 0.1), (0.7, 0.5), (0.3, 0.5)), **extra)
-    thick = Mass(lower=(0.8, 0.0, 0.1), size=(0.1, 0.3, 0.1))
-    scene = scenes.scene_of(layer, thick, size=(1.0, 0.5, 0.6), cell=0.05, jitter=0.0)
-    maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
+    maps = maps_of(lying(scene_of((1.0, 0.5, 0.6), layer, ((0.8, 0.0, 0.1), (0.1, 0.3, 0.1)))), 0.05)
     assert maps.threshold == pytest.approx(threshold, rel=0.02)
     assert region_above(maps.grid, maps.thickness, threshold).bounds[0] == pytest.approx(0.3, abs=0.05)
 

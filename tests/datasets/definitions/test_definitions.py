@@ -26,6 +26,7 @@ from tests.scenes import scaled, scene_of
 every = pytest.mark.parametrize("definition", [read_definition(name) for name in NAMES], ids=NAMES)
 SMALL = 40
 """Scenes that are looked at where the whole dataset would tell no more."""
+SAND = read_scene("column-short-21").material
 
 
 @cache
@@ -38,8 +39,7 @@ def first_entries(definition: Definition, count: int = SMALL) -> tuple[Entry, ..
 def test_seed_and_index_decide_and_a_smaller_dataset_is_a_prefix(definition: Definition) -> None:
     whole = first_entries(definition)
     assert definition.entries(seed=0, count=7) == whole[:7]
-    others = definition.entries(seed=1, count=5)
-    assert all(a.scene != b.scene for a, b in zip(whole, others, strict=False))
+    assert all(a.scene != b.scene for a, b in zip(whole, definition.entries(seed=1, count=5), strict=False))
     assert len({entry.name for entry in whole}) == SMALL
     # A variant shares its shape and its jitter.
     distinct = {definition.stream(index): entry.scene for index, entry in enumerate(whole)}.values()
@@ -139,22 +139,16 @@ def test_what_ships_is_held_out_scaled_mirrored_and_of_another_sand(name: str) -
     assert neighbours(mirrored(scaled(scene, 0.5)), scaled(scene, 3.0))
 
 
-SAND = read_scene("column-short-21").material
-COLUMN = scene_of(Mass(lower=(0.0, 0.0), size=(0.31, 0.4)), size=(2.0, 1.0), cell=0.01, material=SAND)
-
-
 def column(length: float, height: float, left: float = 0.0) -> Scene:
     """A column in a box of two metres."""
-    return dataclasses.replace(COLUMN, masses=(Mass(lower=(left, 0.0), size=(length, height)),))
+    return scene_of(Mass(lower=(left, 0.0), size=(length, height)), size=(2.0, 1.0), cell=0.01, material=SAND)
 
 
 @pytest.mark.parametrize("aspect", ASPECTS[1::2])
 def test_a_column_of_a_held_out_aspect_at_a_wall_is_held_out(aspect: float) -> None:
-    length = 0.3
-    height = length * aspect
-    assert is_held_out(column(length, height))
-    assert is_held_out(column(length, height, left=2.0 - length))
-    assert is_held_out(column(length, 0.97 * height))
+    length, height = 0.3, 0.3 * aspect
+    for same in (column(length, height), column(length, height, left=2.0 - length), column(length, 0.97 * height)):
+        assert is_held_out(same)
     # Away from the walls its aspect is none of those that are tested, nor are those between.
     assert not is_held_out(column(length, height, left=0.5))
     assert not is_held_out(column(0.2, 0.48))
@@ -174,14 +168,13 @@ friction_deg = {friction}
 BODIES = "[[scene.baffles]]\ncount = 199\nlower = [{ uniform = [0.3, 0.5] }, 0.0]\nsize = [0.1, 0.1]"
 
 
-def definition(folder: Path, text: str = EXAMPLE, name: str = "steps.toml") -> Definition:
-    (folder / name).write_text(text)
-    return read_definition(folder / name)
+def definition(folder: Path, text: str = EXAMPLE) -> Definition:
+    (folder / "steps.toml").write_text(text)
+    return read_definition(folder / "steps.toml")
 
 
 def test_the_definition_on_the_page(tmp_path: Path) -> None:
-    steps = definition(tmp_path)
-    entries = steps.entries(seed=0)
+    entries = definition(tmp_path).entries(seed=0)
     assert len(entries) == 200
     assert [sum(entry.split is split for entry in entries) for split in Split] == [160, 20, 20]
     scenes = [entry.scene for entry in entries]

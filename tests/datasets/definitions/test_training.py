@@ -83,8 +83,7 @@ def test_moments_of_parts_are_those_of_the_whole() -> None:
 
 def walk(seed: int, frames: int, points: int) -> np.ndarray:
     """Points that always move faster than the threshold; positions [m], shape [T, N, 2]."""
-    steps = np.random.default_rng(seed).uniform(0.001, 0.01, (frames, points, 2))
-    return np.cumsum(steps, axis=0)
+    return np.cumsum(np.random.default_rng(seed).uniform(0.001, 0.01, (frames, points, 2)), axis=0)
 
 
 def test_statistics_of_moving_points_are_numpys_and_points_at_rest_do_not_count() -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import shapely
 import shapely.affinity
-from rasterio.transform import Affine
 from rasterio.warp import transform
 
 from datasets import Scene, read_scene
@@ -34,8 +33,7 @@ def made(folder: Path, shape: shapely.Geometry = FIELD, text: str = SCENE + OUTL
     """The scene on 400 x 200 m that fall by one half to the east, from 1,500 m."""
     folder.mkdir(exist_ok=True)
     rows = np.tile(UP + 200.0 - 0.5 * 5.0 * (np.arange(80) + 0.5), (40, 1))
-    place = Affine(5.0, 0.0, EAST, 0.0, -5.0, NORTH + 200.0)
-    write_raster(folder / "dem.tif", rows, SWISS, transform=place)
+    write_raster(folder / "dem.tif", rows, SWISS, 5.0, (EAST, NORTH))
     (folder / "release.gpkg").unlink(missing_ok=True)
     written(folder / "release.gpkg", shape, crs)
     (folder / "scene.toml").write_text(text)

@@ -148,15 +148,7 @@ def test_near_vertices_are_merged(tmp_path: Path, apart: float, edge: float, bin
         (0.5 * CUBE + 0.25, 1.0, True),
         ((0.5 * CUBE + 0.25)[[3, 2, 1, 0, 7, 6, 5, 4]], 0.875, False),
     ],
-    ids=[
-        "half over each other",
-        "touching",
-        "at an edge",
-        "apart",
-        "apart, inside out",
-        "one in the other",
-        "a cavity",
-    ],
+    ids=["half over each other", "touching", "at an edge", "apart", "apart, inside out", "one inside", "a cavity"],
 )
 def test_what_shells_of_a_mesh_share_counts_once(tmp_path: Path, second: np.ndarray, volume: float, said: bool) -> None:
     stl(tmp_path / "blocks.stl", CUBE, second)

@@ -55,8 +55,7 @@ def test_a_page_has_the_flow(tmp_path: Path, dimension: int) -> None:
     (run,) = head["runs"]
     assert head["times"] == flow.time.tolist()
     extent = np.ptp(flow.positions, axis=(0, 1)).max()
-    places = numbers(data, run["positions"]).swapaxes(1, 2)
-    np.testing.assert_allclose(places, flow.positions, atol=extent / 65535)
+    np.testing.assert_allclose(numbers(data, run["positions"]).swapaxes(1, 2), flow.positions, atol=extent / 65535)
     shown = numbers(data, run["fields"]["pressure"])[:, 0]
     bar = head["fields"]["pressure"]["high"]
     np.testing.assert_allclose(shown, np.minimum(flow.positions[:, :, 0], bar), atol=bar / 255)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -35,6 +36,10 @@ BODY = "[[masses]]\nlower = [1.7, 0.8]\nsize = [0.2, 0.1]\n"
 BODY_3D = "[[masses]]\nlower = [1.7, 0.8, 0.4]\nsize = [0.2, 0.1, 0.2]\n"
 TERRAIN = '[[solids]]\nkind = "terrain"\n'
 LAYER = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
+NONE, UTM, Place = -9999.0, "EPSG:32632", tuple[float, float]
+DRIVERS = {".tif": "GTiff", ".asc": "AAIGrid", ".img": "HFA", ".bil": "EHdr", ".grd": "GS7BG"}
+HEIGHTS = st.sampled_from((NONE, 0.0)) | st.floats(0.05, 0.3)
+RINGED = np.pad(np.full((3, 3), 0.2), 2, constant_values=NONE)
 
 
 def scene(folder: Path, text: str) -> Scene:
@@ -48,18 +53,17 @@ def tilted() -> np.ndarray:
     return 0.1 + 0.1 * x[None] + 0.2 * z[:, None]
 
 
-DRIVERS = {".tif": "GTiff", ".asc": "AAIGrid", ".img": "HFA", ".bil": "EHdr", ".grd": "GS7BG"}
-
-
-def write_raster(path: Path, values: np.ndarray, crs: str | None = "EPSG:32632", **changes: object) -> None:
-    """A GeoTIFF or an ESRI ASCII raster whose lower left corner is at 500000, 5000000."""
-    height, width = values.shape
-    driver, place = DRIVERS[path.suffix], Affine(0.1, 0, 5e5, 0, -0.1, 5e6 + 0.1 * height)
-    profile = {"count": 1, "dtype": "float64", "nodata": -9999.0, "transform": place} | changes
+def write_raster(
+    path: Path, rows: np.ndarray, crs: str | None = UTM, cell: float = 0.1, corner: Place = (5e5, 5e6), **more: Any
+) -> None:
+    """A GeoTIFF or another raster with rows from north to south on square cells, from its lower left corner on [m]."""
+    (height, width), (east, north) = rows.shape, corner
+    driver, place = DRIVERS[path.suffix], Affine(cell, 0.0, east, 0.0, -cell, north + cell * height)
+    profile = {"count": 1, "dtype": "float64", "nodata": NONE, "transform": place} | more
     if path.suffix in (".bil", ".grd"):
         profile |= {"dtype": "float32" if path.suffix == ".bil" else "float64", "nodata": None}
     with rasterio.open(path, "w", driver=driver, height=height, width=width, crs=crs, **profile) as file:
-        file.write(values, 1)
+        file.write(rows, 1)
 
 
 def ground(loaded: Scene, positions: list[tuple[float, float, float]]) -> np.ndarray:
@@ -95,11 +99,6 @@ def test_a_height_field(tmp_path: Path, name: str, encoding: str) -> None:
     np.testing.assert_allclose(distance, np.array([0.05, -0.09, 0.09]) / slope, atol=1e-6)
     assert loaded.solids[0].corner == (500_000.0, 5_000_000.0)
     assert Scene.from_json(loaded.to_json()) == loaded
-
-
-NONE = -9999.0
-HEIGHTS = st.sampled_from((NONE, 0.0)) | st.floats(0.05, 0.3)
-RINGED = np.pad(np.full((3, 3), 0.2), 2, constant_values=NONE)
 
 
 @given(
@@ -154,11 +153,10 @@ def test_undeclared_holes_are_no_ground(tmp_path: Path, dtype: str, hole: float)
 
 def test_a_high_valley_beside_zeros_and_a_high_cliff(tmp_path: Path) -> None:
     """Zeros around ground at 1500 m are no ground; what lies up to 500 m below all else is."""
-    values, above = np.full((14, 26), 1500.0), Affine(0.1, 0.0, 500000.0, 0.0, -0.1, 5000001.4)
-    values[[0, -1]] = 0.0
-    for change, holes in ((0.0, 52), (1001.0, 0)):
-        raster = np.where(values == 0.0, change, values)
-        write_raster(tmp_path / "dem.tif", raster, nodata=None, transform=above)
+    values = np.full((14, 26), 1500.0)
+    for low, holes in ((0.0, 52), (1001.0, 0)):
+        values[[0, -1]] = low
+        write_raster(tmp_path / "dem.tif", values, nodata=None)
         with pytest.warns(UserWarning, match=f"{holes} values such as 0") if holes else nullcontext():
             assert int(np.isnan(read_raster(tmp_path / "dem.tif").values).sum()) == holes
 
@@ -176,22 +174,21 @@ def test_only_holes_that_the_box_needs_are_holes(tmp_path: Path) -> None:
 def test_friction_and_turbulence_of_the_ground_by_raster(tmp_path: Path) -> None:
     """Bilinear between the centres of cells of 0.2 m, level beyond them; one value is a number."""
     x, z = 0.1 + 0.2 * np.arange(10), 0.1 + 0.2 * np.arange(5)[::-1]
-    place = {"transform": Affine(0.2, 0, 5e5, 0, -0.2, 5e6 + 1.0)}
     write_raster(tmp_path / "dem.tif", tilted())
-    write_raster(tmp_path / "mu.asc", 0.1 + 0.2 * x[None] + 0.1 * z[:, None], None, **place)
-    write_raster(tmp_path / "xi.tif", 500.0 + 2000.0 * (x[None] > 1.0) + 0.0 * z[:, None], **place)
+    write_raster(tmp_path / "mu.asc", 0.1 + 0.2 * x[None] + 0.1 * z[:, None], None, cell=0.2)
+    write_raster(tmp_path / "xi.tif", 500.0 + 2000.0 * (x[None] > 1.0) + 0.0 * z[:, None], cell=0.2)
     named = SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\nfriction = "mu.asc"\nturbulence = "xi.tif"\n'
     (bed,) = scene(tmp_path, named).solids
     posts = [0.05 + 0.1 * np.arange(count) for count in (20, 10)]
     clamped = [np.clip(axis, 0.1, length - 0.1) for axis, length in zip(posts, (2.0, 1.0), strict=True)]
     np.testing.assert_allclose(bed.friction, 0.1 + 0.2 * clamped[0][:, None] + 0.1 * clamped[1], rtol=1e-9)
     np.testing.assert_allclose(bed.turbulence, np.tile(np.interp(posts[0], (0.9, 1.1), (500.0, 2500.0)), (10, 1)).T)
-    write_raster(tmp_path / "mu.asc", np.full((5, 10), 0.3), None, **place)
-    assert scene(tmp_path, named).solids[0].friction == 0.3
     rows = np.full((5, 10), 0.3)
-    rows[2, 3] = -9999.0
+    write_raster(tmp_path / "mu.asc", rows, None, cell=0.2)
+    assert scene(tmp_path, named).solids[0].friction == 0.3
+    rows[2, 3] = NONE
     for values, cells in ((rows, 4), (rows[:, 4:], 80)):
-        write_raster(tmp_path / "mu.asc", values, None, **place)
+        write_raster(tmp_path / "mu.asc", values, None, cell=0.2)
         said = f"expected a raster without holes in the box, got {cells} cells without data, the first at x = "
         error = refused(scene, tmp_path, named, said=said)
         assert (error.key, Path(error.where).name) == ("solids[0].friction", "mu.asc")
@@ -202,9 +199,8 @@ def test_friction_and_turbulence_of_the_ground_by_raster(tmp_path: Path) -> None
 @pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:25832", None, 'LOCAL_CS["site",UNIT["metre",1]]'])
 def test_a_raster_of_thickness_lies_beside_the_terrains(tmp_path: Path, crs: str | None) -> None:
     """0.4 x 0.3 m, 1.0 and 0.5 m from its corner, by the same map: UTM of ETRS89 and of WGS 84 lie on each other."""
-    place = Affine(0.1, 0.0, 500001.0, 0.0, -0.1, 5000000.0 + 0.5 + 0.3)
-    write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:32632")
-    write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), crs, transform=place)
+    write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2))
+    write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), crs, corner=(500_001.0, 5_000_000.5))
     loaded = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + LAYER)
     assert mass_volumes(loaded)[0] == pytest.approx(0.4 * 0.3 * 0.1, rel=1e-9)  # the raster's cells whole
     particles = initial_particles(loaded).positions
@@ -217,8 +213,7 @@ def test_a_mesh(tmp_path: Path) -> None:
     meshio.Mesh(vertices, [("triangle", triangles)]).write(tmp_path / "ball.stl")
     text = 'kind = "mesh"\nfile = "ball.stl"\nscale = 0.001\nat = [1.0, 0.4, 0.5]\n'
     loaded = scene(tmp_path, SPACE + BODY_3D + "[[solids]]\n" + text)
-    distance = ground(loaded, [(1.0, 0.7, 0.5), (1.0, 0.4, 0.4)])
-    np.testing.assert_allclose(distance, [0.1, -0.1], atol=0.004)
+    np.testing.assert_allclose(ground(loaded, [(1.0, 0.7, 0.5), (1.0, 0.4, 0.4)]), [0.1, -0.1], atol=0.004)
     body = scene(tmp_path, SPACE + "[[masses]]\n" + text)
     assert mass_volumes(body)[0] == pytest.approx(4.0 / 3.0 * np.pi * 0.2**3, rel=0.03)
 
@@ -253,17 +248,10 @@ def test_a_map_with_scale_offset_holes_and_rows_from_the_south(tmp_path: Path) -
 )
 def test_a_release_of_another_map_is_refused(tmp_path: Path, release: str, words: str) -> None:
     """Beside a DEM of Austria's Lambert: UTM at its place, where UTM with a zone has none, and Web Mercator."""
-    place = Affine(0.1, 0, 4e5, 0, -0.1, 4e5)
-    write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:31287", transform=place)
+    write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:31287", corner=(4e5, 4e5))
     write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), release)
     text = SPACE + TERRAIN + 'file = "dem.tif"\n' + LAYER
     assert refused(scene, tmp_path, text, said=words).key == "masses[0].thickness"
-
-
-def holes(path: Path) -> None:
-    values = tilted()
-    values[2, 3] = values[4, 5] = -9999.0
-    write_raster(path, values)
 
 
 def misspelt(old: bytes, new: bytes) -> Callable[[Path], object]:
@@ -298,11 +286,8 @@ CASES: list[tuple[str, Callable[[Path], object], str]] = [
     ("dem.asc", misspelt(b" 0.25", b" abc"), "expected numbers, got 'abc' in line 7"),
     ("dem.asc", misspelt(b" 0.25", b" 1.000,25"), "expected numbers, got '1.000,25' in line 7"),
     ("dem.asc", misspelt(b" 0.25", b" 0.2 5"), "expected 200 values, as the header says, got 201"),
-    ("dem.asc", misspelt(b" 0.25", b""), "expected 200 values, as the header says, got 199"),
     ("dem.asc", heights_in_feet, "expected elevations in metres, got 'US survey foot'"),
-    ("dem.asc", holes, "expected a raster without holes in the box, got 2 cells without data"),
     ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
-    ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:3857"), "metres are metres on the ground"),
     ("dem.tif", lambda path: write_raster(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
     # All values are no elevation: the raster is wrong, not the ground beneath something.
     ("dem.tif", lambda path: write_raster(path, np.full((10, 20), 130_000.0)), "below 20000, got 130000 and the like"),
@@ -343,8 +328,7 @@ def test_solids_that_are_refused(tmp_path: Path, text: str, words: str) -> None:
 def test_what_is_wrong_with_a_line_names_its_file(tmp_path: Path, table: str, key: str, origin: str) -> None:
     (tmp_path / "line.csv").write_text("x,y\n2,0.1\n1,0.1\n0,0.1\n")
     plane = PLANE.replace("30.0", "30.0, saturated = true").replace("cell = 0.05", f"cell = 0.05{origin}")
-    text = plane + BODY + f'{table} = "line.csv"\n'
-    error = refused(scene, tmp_path, text)
+    error = refused(scene, tmp_path, plane + BODY + f'{table} = "line.csv"\n')
     assert (error.where, error.key) == (str(tmp_path / "line.csv"), key)
 
 

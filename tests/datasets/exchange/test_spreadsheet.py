@@ -95,5 +95,4 @@ def test_what_is_no_unit_of_a_pressure_is_refused_with_those_that_are(tmp_path: 
 def test_what_is_no_table_ends_in_a_line(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "table.csv"
     path.write_text(text)
-    mistake = refused(lambda: read_columns(path, ("x", "height"), ("time",)), said=said)
-    assert "table.csv" in str(mistake)
+    assert "table.csv" in str(refused(lambda: read_columns(path, ("x", "height"), ("time",)), said=said))

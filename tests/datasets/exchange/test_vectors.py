@@ -26,10 +26,12 @@ def written(path: Path, shape: shapely.Geometry, crs: str | None = SWISS, thickn
 
 @pytest.mark.parametrize("name", ["field.shp", "field.gpkg", "field.geojson"])
 def test_each_format_has_the_polygons_and_their_attributes(tmp_path: Path, name: str) -> None:
-    features = read_polygons(written(tmp_path / name, PAIR), SWISS)
-    assert [feature.polygon.area for feature in features] == pytest.approx([1200.0, 100.0])
-    assert features[0].polygon.bounds == pytest.approx(FIELD.bounds)
-    assert [feature.attributes["thickness"] for feature in features] == [1.5, 1.5]
+    path = written(tmp_path / name, PAIR)
+    for map_system in (SWISS, None):
+        features = read_polygons(path, map_system)
+        assert [feature.polygon.area for feature in features] == pytest.approx([1200.0, 100.0])
+        assert features[0].polygon.bounds == pytest.approx(FIELD.bounds)
+        assert [feature.attributes["thickness"] for feature in features] == [1.5, 1.5]
 
 
 def test_the_polygons_of_one_layer(tmp_path: Path) -> None:
@@ -59,11 +61,6 @@ def test_a_file_beside_a_map_without_a_system_is_in_metres_on_the_ground(tmp_pat
     """Feet of New York; Web Mercator at 47 degrees, where a release would have 2.16 times its area."""
     shape = shapely.box(1_000_000.0, 5_942_074.0, 1_000_030.0, 5_942_104.0)
     refused(read_polygons, written(tmp_path / "field.gpkg", shape, crs), None, said=said)
-
-
-def test_a_file_beside_a_map_without_a_system(tmp_path: Path) -> None:
-    (feature,) = read_polygons(written(tmp_path / "field.gpkg", FIELD), None)
-    assert feature.polygon.bounds == FIELD.bounds
 
 
 def test_coordinates_without_a_system_are_those_of_the_map(tmp_path: Path) -> None:

@@ -91,19 +91,14 @@ def test_two_dimensions(tmp_path: Path) -> None:
     assert (tmp_path / "solids.vtp").exists()  # what never changes has one file
 
 
-def grounded(flow: Trajectory) -> Trajectory:
-    """The same above a terrain that falls along x and a wall without slip, which took momentum too."""
-    ground = Solid(
-        kind="terrain", origin=(-0.1, -0.1), spacing=(0.5, 0.3), heights=((0.02, 0.02), (0.01, 0.01)), friction=0.5
-    )
+def test_solids_are_a_surface_of_their_own(tmp_path: Path, flow: Trajectory) -> None:
+    """Above a terrain that falls along x and a wall without slip, which took momentum too."""
+    grid = {"origin": (-0.1, -0.1), "spacing": (0.5, 0.3), "heights": ((0.02, 0.02), (0.01, 0.01))}
+    ground = Solid(kind="terrain", **grid, friction=0.5)
     wall = Solid(name="wall", lower=(0.1, 0.0, 0.0), size=(0.02, 0.05, 0.02), contact="no-slip")
     raised = (dataclasses.replace(mass, lower=(mass.lower[0], 0.05, mass.lower[2])) for mass in flow.scene.masses)
     scene = dataclasses.replace(flow.scene, masses=tuple(raised), solids=(ground, wall))
-    return dataclasses.replace(flow, scene=scene, solid_impulse=np.random.default_rng(5).random((5, 4, 3)))
-
-
-def test_solids_are_a_surface_of_their_own(tmp_path: Path, flow: Trajectory) -> None:
-    flow = grounded(flow)
+    flow = dataclasses.replace(flow, scene=scene, solid_impulse=np.random.default_rng(5).random((5, 4, 3)))
     write_vtk(flow, tmp_path)
     _, solids, _ = read(tmp_path)[0.02]
     assert set(np.unique(solids["solid"])) == {0, 1, 2, 3}  # baffles first, then the terrain and the wall

@@ -14,6 +14,9 @@ from datasets.flow.array_files import FrameWriter, read_arrays
 from datasets.flow.trajectory import STORED, Trajectory, open_trajectory, read_trajectory, stored_scene
 from tests.refusals import refused
 
+TERABYTES = "{'descr': '<f8', 'fortran_order': False, 'shape': (999999999999,), }"
+OBJECTS = "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"
+
 
 @pytest.fixture
 def flow(trajectory: Trajectory) -> Trajectory:
@@ -122,10 +125,6 @@ def with_member(path: Path, content: bytes) -> Path:
 
 def npy(header: str, content: bytes = b"") -> bytes:
     return b"\x93NUMPY\1\0" + len(header).to_bytes(2, "little") + header.encode() + content
-
-
-TERABYTES = "{'descr': '<f8', 'fortran_order': False, 'shape': (999999999999,), }"
-OBJECTS = "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from tests.scenes import scene_of
 
 TRIANGLE = ((0.25, 0.0, 1.0), (0.75, 0.4, 1.0), (1.5, 0.0, 1.0))
 FASTER = ((0.25, 0.0, 1.0), (0.75, 8.0, 4.0), (1.0, 0.0, 0.0), (1.25, 0.0, 0.0), (2.0, 4.0, 2.0))
+RECTANGLE = {"section": ((5.0, 14.0, 6.0), (5.0, 14.0, 10.0)), "direction": (1.0, 0.0, 0.0)}
 
 
 def flat(**changes: Any) -> Scene:
@@ -33,9 +34,6 @@ def valley(**changes: Any) -> Scene:
     terrain = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 1.0), heights=tuple(map(tuple, heights.tolist())))
     mass = {"kind": "inflow", "section": ((5.0, 4.0), (5.0, 16.0)), "hydrograph": FASTER} | changes
     return scene_of(Mass(**mass), size=(40.0, 20.0, 20.0), cell=0.5, solids=(terrain,), duration=2.0, frame_dt=0.1)
-
-
-RECTANGLE = {"section": ((5.0, 14.0, 6.0), (5.0, 14.0, 10.0)), "direction": (1.0, 0.0, 0.0)}
 
 
 @pytest.mark.parametrize(

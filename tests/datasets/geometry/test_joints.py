@@ -117,5 +117,4 @@ def test_plates_that_share_an_edge_alone_are_refused_in_3d(first: float, second:
     ids=["side", "top", "a part of a face", "but for rounding", "apart", "closed by a third", "a thin plate"],
 )
 def test_solids_that_share_a_face_or_nothing_are_not(others: tuple[Solid, ...]) -> None:
-    faces = surface(scene_of(FIRST, *others, size=SPACE))
-    assert set(faces.solid.tolist()) == set(range(1 + len(others)))
+    assert set(surface(scene_of(FIRST, *others, size=SPACE)).solid.tolist()) == set(range(1 + len(others)))

@@ -144,6 +144,7 @@ REFUSED: list[tuple[int, list[Mass], list[Solid], str]] = [
     (2, [Mass(kind="layer", thickness=-1.0)], [], "masses[0].thickness: expected thicknesses in m of at least 0"),
     (2, [dataclasses.replace(BOX, thickness=0.1)], [], "masses[0].thickness: expected no such key of kind box"),
     (2, [Mass(lower=(0.1, 0.1))], [], "masses[0].size: expected a value, the key is missing"),
+    (3, [dataclasses.replace(LAYER_BESIDE, thickness=((0.1, 0.2), (0.1,)))], [], "thickness[1]: expected 2 lengths"),
     (3, [BALL, LAYER_BESIDE], [], "masses[1]: expected a layer that lies in the box"),
     (3, [OPEN], [], "masses[0].triangles: expected a closed surface, got one with 3 open edges"),
     (3, [SWAPPED], [], "masses[0].triangles: expected a closed surface whose triangles all face the same way"),
@@ -171,8 +172,7 @@ def test_bodies_on_and_above_solids(gap: float) -> None:
     scene = scene_of(flat, along, on_box, solids=(SLOPE, box))
     np.testing.assert_allclose(heights_above_ground(scene), gap, atol=0.0125)
     assert remembers_gaps(scene)
-    thrown = scene_of(Mass(lower=(0.5, 0.0), size=(0.4, 0.2), velocity=(1.0e-3, 0.0)))
-    assert remembers_gaps(thrown)
+    assert remembers_gaps(scene_of(Mass(lower=(0.5, 0.0), size=(0.4, 0.2), velocity=(1.0e-3, 0.0))))
     assert not remembers_gaps(scene_of(Mass(lower=(0.5, 0.0), size=(0.4, 0.2))))
     deep = scene_of(Mass(lower=(0.4, 0.3 + gap, 0.0), size=(0.2, 0.1, 0.2)), solids=(VALLEY,), dimension=3)
     np.testing.assert_allclose(heights_above_ground(deep), gap, atol=1e-6)

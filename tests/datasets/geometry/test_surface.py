@@ -18,6 +18,11 @@ from datasets.scene.grid_field import Floats
 from tests.datasets.geometry.solids import as_rows, scene_of, sphere, surface
 
 SPACE = (2.0, 1.0, 1.0)
+BOX = Domain(size=SPACE, cell=0.05)
+SOLIDS = (
+    Solid(lower=(0.93, 0.0, 0.33), size=(0.1, 0.6, 0.27), friction=0.2),
+    Solid(lower=(1.5, 0.0, 0.0), size=(0.1, 0.7, 0.27), friction=0.2, turned_deg=20.0),
+)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -25,8 +30,7 @@ def test_touching_boxes_are_one(dimension: int) -> None:
     """They touch at 0.1 + 0.2, where decimals do not meet exactly."""
     first = Solid(lower=(0.1, 0.0, 0.2)[:dimension], size=(0.2, 0.3, 0.1)[:dimension], friction=0.1)
     second = Solid(lower=(0.3, 0.0, 0.2)[:dimension], size=(0.2, 0.1 + 0.2, 0.1)[:dimension], friction=0.7)
-    scene = scene_of(first, second, size=SPACE[:dimension])
-    faces = surface(scene)
+    faces = surface(scene_of(first, second, size=SPACE[:dimension]))
     points = np.array([[0.3, y, 0.25][:dimension] for y in np.linspace(0.01, 0.29, 29)])
     points[:, 0] += np.linspace(-1e-9, 1e-9, 29)
     whole = Solid(lower=(0.1, 0.0, 0.2)[:dimension], size=(0.4, 0.3, 0.1)[:dimension])
@@ -66,8 +70,7 @@ def test_a_mesh_that_stands_on_or_in_the_floor(where: float) -> None:
 
 def test_terrain_and_what_stands_on_it_are_one() -> None:
     ground = Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.2), (2.0, 0.2)), friction=(0.2, 0.4, 0.6))
-    wall = Solid(lower=(1.5, 0.1), size=(0.1, 0.3), friction=0.9)
-    faces = surface(scene_of(ground, wall))
+    faces = surface(scene_of(ground, Solid(lower=(1.5, 0.1), size=(0.1, 0.3), friction=0.9)))
     seen = nearest(faces, np.array([[0.5, 0.36], [1.25, 0.21], [1.55, 0.41], [1.49, 0.3], [1.55, 0.2]]))
     assert faces.solid[seen.face].tolist()[:4] == [0, 0, 1, 1]
     assert seen.distance[4] < -0.04
@@ -150,8 +153,7 @@ def test_a_valley_on_a_height_field() -> None:
     across = (points[:, 1] - 0.1 - 0.6 * np.abs(points[:, 2] - 0.5)) / math.hypot(1.0, 0.6)
     line = np.hypot(points[:, 1] - 0.1, points[:, 2] - 0.5)
     along = np.abs(points[:, 2] - 0.5) + 0.6 * (points[:, 1] - 0.1)
-    expected = np.where(along >= 0.0, across, -line)
-    np.testing.assert_allclose(closest.distance, expected, atol=1e-12)
+    np.testing.assert_allclose(closest.distance, np.where(along >= 0.0, across, -line), atol=1e-12)
     consistent(points, closest)
 
 
@@ -166,13 +168,6 @@ def test_a_sphere(flipped: bool) -> None:
     # Between a sphere and triangles on it lies h^2 / 8 r at most, for edges of h.
     assert np.abs(closest.distance - expected).max() < 0.004
     consistent(points, closest)
-
-
-BOX = Domain(size=SPACE, cell=0.05)
-SOLIDS = (
-    Solid(lower=(0.93, 0.0, 0.33), size=(0.1, 0.6, 0.27), friction=0.2),
-    Solid(lower=(1.5, 0.0, 0.0), size=(0.1, 0.7, 0.27), friction=0.2, turned_deg=20.0),
-)
 
 
 def terrain(roughness: float) -> Solid:

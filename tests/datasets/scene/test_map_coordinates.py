@@ -10,7 +10,6 @@ import pytest
 import pyvista
 import rasterio
 import tomli_w
-from rasterio.transform import Affine
 
 from datasets import Scene, Trajectory, read_scene, write_scene
 from datasets.compare import compare
@@ -57,20 +56,6 @@ def in_space(east: float, up: float, north: float) -> str:
     return tomli_w.dumps(table)
 
 
-def in_plane(east: float, up: float) -> str:
-    """The same in 2D."""
-    vertices = [[east + 1.2, up + 1.7], [east + 1.6, up + 1.7], [east + 1.4, up + 1.9]]
-    layer = {"kind": "layer", "thickness": 0.3, "outline": [[east + 0.3], [east + 1.1]]}
-    table = {
-        "duration": 0.1,
-        "domain": {"size": [4.0, 3.0], "cell": 0.1} | ({"origin": [east, up]} if east else {}),
-        "material": {"friction_deg": 30.0},
-        "masses": [layer, {"kind": "polygon", "vertices": vertices}],
-        "solids": [{"kind": "terrain", "file": "line.csv"}],
-    }
-    return tomli_w.dumps(table)
-
-
 def on_map(scene: Scene, crs: str | None = None) -> Scene:
     """A scene with its box at the place."""
     origin = PLACE[: scene.dimension]
@@ -88,21 +73,23 @@ def test_a_scene_in_map_coordinates_is_the_scene(tmp_path: Path) -> None:
 
 
 def test_a_scene_in_2d_and_its_csv(tmp_path: Path) -> None:
-    rows = [(0.0, 1.5), (2.0, 0.7), (4.0, 0.7)]
-    east, up, _ = PLACE
     scenes = []
-    for place in ((0.0, 0.0), (east, up)):
-        line = "\n".join(f"{x + place[0]},{y + place[1]}" for x, y in rows)
+    for east, up in ((0.0, 0.0), PLACE[:2]):
+        line = "\n".join(f"{x + east},{y + up}" for x, y in ((0.0, 1.5), (2.0, 0.7), (4.0, 0.7)))
         (tmp_path / "line.csv").write_text(f"x,y\n{line}\n")
-        scenes.append(read(tmp_path, in_plane(*place)))
+        vertices = [[east + x, up + y] for x, y in ((1.2, 1.7), (1.6, 1.7), (1.4, 1.9))]
+        layer = {"kind": "layer", "thickness": 0.3, "outline": [[east + 0.3], [east + 1.1]]}
+        table = {
+            "duration": 0.1,
+            "domain": {"size": [4.0, 3.0], "cell": 0.1} | ({"origin": [east, up]} if east else {}),
+            "material": {"friction_deg": 30.0},
+            "masses": [layer, {"kind": "polygon", "vertices": vertices}],
+            "solids": [{"kind": "terrain", "file": "line.csv"}],
+        }
+        scenes.append(read(tmp_path, tomli_w.dumps(table)))
     assert scenes[1] == on_map(scenes[0])
     write_scene(scenes[1], tmp_path / "written.toml")
     assert read_scene(tmp_path / "written.toml") == scenes[1]
-
-
-def raster(path: Path, values: np.ndarray, east: float, north: float, crs: str | None) -> None:
-    """Cells of 0.5 m from a lower left corner on."""
-    write_raster(path, values, crs, transform=Affine(0.5, 0.0, east, 0.0, -0.5, north + 0.5 * len(values)))
 
 
 RASTERS = """\
@@ -126,8 +113,9 @@ def test_rasters_lie_where_they_say(tmp_path: Path) -> None:
     """A slope of 0.1 (x - 2,600,000) + 2,000.7; the release, 1 m east and 0.5 m north, stands before it in the file."""
     east, up, north = PLACE
     x = east - 1.0 + 0.5 * (np.arange(12) + 0.5)
-    raster(tmp_path / "dem.asc", np.tile(up + 0.7 + 0.1 * (x - east), (8, 1)), east - 1.0, north - 1.0, "EPSG:2056")
-    raster(tmp_path / "release.tif", np.full((2, 3), 0.2), east + 1.0, north + 0.5, "EPSG:2056")
+    slope = np.tile(up + 0.7 + 0.1 * (x - east), (8, 1))
+    write_raster(tmp_path / "dem.asc", slope, "EPSG:2056", 0.5, (east - 1.0, north - 1.0))
+    write_raster(tmp_path / "release.tif", np.full((2, 3), 0.2), "EPSG:2056", 0.5, (east + 1.0, north + 0.5))
     scene = read(tmp_path, RASTERS)
     assert (scene.domain.origin, scene.domain.crs, scene.solids[0].corner) == (PLACE, "EPSG:2056", None)
     assert mass_volumes(scene)[0] == pytest.approx(6 * 0.25 * 0.2, rel=1e-9)
@@ -143,11 +131,9 @@ def test_rasters_lie_where_they_say(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         (", 1200000.0]\n", "]\n", "domain.origin: expected 3 lengths"),
-        (", 2000.0, 1200000.0]", "]", "domain.origin: expected 3 lengths"),
         ("origin = [2600000.0, 2000.0, 1200000.0]", "origin = [1e300, 0.0, 0.0]", "domain.origin: expected 3 lengths"),
         ("origin = [2600000.0, 2000.0, 1200000.0]", "origin = [nan, 0.0, 0.0]", "domain.origin[0]: expected"),
         ("origin = [2600000.0, 2000.0, 1200000.0]", 'origin = "here"', "domain.origin: expected"),
-        ("1200000.0]\n", '1200000.0]\ncrs = "EPSG:4326"\n', "domain.crs: expected a projected coordinate system"),
         ("1200000.0]\n", '1200000.0]\ncrs = "Bern"\n', "domain.crs: expected a projected coordinate system"),
         ("1200000.0]\n", '1200000.0]\ncrs = "EPSG:25832"\n', "expected the reference system of domain.crs, EPSG:25832"),
         ("origin = [2600000.0, 2000.0, 1200000.0]", 'crs = "EPSG:2056"', "domain.crs: expected an origin beside it"),
@@ -163,8 +149,8 @@ def test_rasters_lie_where_they_say(tmp_path: Path) -> None:
 )
 def test_what_is_no_place_is_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
     east, up, north = PLACE
-    raster(tmp_path / "dem.asc", np.full((8, 12), up + 0.7), east - 1.0, north - 1.0, None)
-    raster(tmp_path / "release.tif", np.full((2, 3), 0.2), east + 1.0, north + 0.5, "EPSG:2056")
+    write_raster(tmp_path / "dem.asc", np.full((8, 12), up + 0.7), None, 0.5, (east - 1.0, north - 1.0))
+    write_raster(tmp_path / "release.tif", np.full((2, 3), 0.2), "EPSG:2056", 0.5, (east + 1.0, north + 0.5))
     assert old in RASTERS
     refused(read, tmp_path, RASTERS.replace(old, new), said=said)
 

@@ -16,6 +16,12 @@ from datasets.schema import from_mapping
 from tests.refusals import refused
 from tests.scenes import SAND, box, scene_of
 
+SCENE = {"domain": {"size": [1.0, 1.0], "cell": 0.1}, "material": {"friction_deg": 30.0}, "masses": [], "duration": 1.0}
+CUT_OFF = {"residual_tension_cutoff": 3.1, "softening_length": 1.0}
+SNOW = Material(friction_deg=30.0, density=400.0)
+PLANE = Solid(kind="terrain", points=((0.0, 116.0), (200.0, 16.0)), friction=0.2)
+"""Of 1 in 2."""
+
 
 def test_a_share_of_the_cohesion_is_the_default_cutoff() -> None:
     assert Material(friction_deg=30.0, cohesion=1.0e3).tension_limit == TENSION_SHARE * 1.0e3 == 3.0
@@ -49,17 +55,11 @@ def test_the_residual_material() -> None:
     after = {"softening_length": 0.05, "residual_friction_deg": 30.0, "residual_cohesion": 1.0e3}
     soil = Material(**peak, tension_cutoff=500.0, **after)
     residual = soil.residual
-    assert residual == Material(
-        friction_deg=30.0, cohesion=1.0e3, strength_gradient=250.0, tension_cutoff=500.0, density=soil.density
-    )
+    assert residual == Material(friction_deg=30.0, cohesion=1.0e3, strength_gradient=250.0, tension_cutoff=500.0)
     depth = np.array([0.0, 2.0])
     np.testing.assert_allclose(residual.cohesion_at(depth), 0.25 * soil.cohesion_at(depth))
     assert residual.residual is residual
     assert Material(friction_deg=40.0, softening_length=0.1).residual.friction_deg == 40.0
-
-
-SCENE = {"domain": {"size": [1.0, 1.0], "cell": 0.1}, "material": {"friction_deg": 30.0}, "masses": [], "duration": 1.0}
-CUT_OFF = {"residual_tension_cutoff": 3.1, "softening_length": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -89,8 +89,7 @@ def test_a_constant_of_another_law_stands_once() -> None:
     table = {"law": "von-mises", "strength": 200.0, "constants": {"strength": 100.0}}
     said = "material.strength: expected one value, another one stands in constants"
     refused(from_mapping, SceneLayout, {**SCENE, "material": table}, said=said)
-    own = {**SCENE, "masses": [{"material": table}]}
-    refused(from_mapping, SceneLayout, own, said=f"masses[0].{said}")
+    refused(from_mapping, SceneLayout, {**SCENE, "masses": [{"material": table}]}, said=f"masses[0].{said}")
 
 
 def test_a_slopes_angle_is_daviss() -> None:
@@ -104,11 +103,6 @@ def test_a_slopes_angle_is_daviss() -> None:
     soft = dataclasses.replace(dense, softening_length=0.01, residual_friction_deg=30.0)
     assert soft.residual.phi_deg == pytest.approx(math.degrees(math.asin(math.tan(math.radians(30.0)))))
     assert dataclasses.replace(soft, residual_friction_deg=None).residual.phi_deg == pytest.approx(dense.phi_deg)
-
-
-SNOW = Material(friction_deg=30.0, density=400.0)
-PLANE = Solid(kind="terrain", points=((0.0, 116.0), (200.0, 16.0)), friction=0.2)
-"""Of 1 in 2."""
 
 
 def sheet(thickness: float, **changes: object) -> Mass:
