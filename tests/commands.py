@@ -1,12 +1,12 @@
 """Commands and blocks of code as the pages print them, and how to try a command without doing its work."""
 
 import functools
-import importlib
 import inspect
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from datasets import command_line
@@ -47,13 +47,7 @@ def commands(page: Path) -> Iterator[tuple[str, list[str]]]:
 def command_of(module: str, name: str = "") -> Callable[..., Any]:
     """The function that `python -m module` runs, with a further name that of a page of `validation.bench`."""
     (place,) = [place for place, _ in COMMANDS.values() if place.split(":")[0].removesuffix(".__main__") == module]
-    return found_at(found_at(place)[name][0] if name else place)
-
-
-def found_at(place: str) -> Any:
-    """What stands at MODULE:NAME."""
-    home, _, attribute = place.partition(":")
-    return getattr(importlib.import_module(home), attribute)
+    return resolve_name(resolve_name(place)[name][0] if name else place)
 
 
 def status(module: str, arguments: list[str], *, works: bool = True) -> int:

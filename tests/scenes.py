@@ -50,13 +50,12 @@ def scaled(scene: Scene, length: float, *, gravity: float = 9.81, density: float
         rows = {name: tuple(map(long, value)) for name in ("points", "heights") if (value := getattr(solid, name))}
         return rows | {name: long(value) for name in ("origin", "spacing") if (value := getattr(solid, name))}
 
-    constants = {"young": sand.modulus, "cohesion": sand.cohesion, "tension_cutoff": sand.tension_cutoff}
+    stresses = {"young": sand.modulus, "cohesion": sand.cohesion, "tension_cutoff": sand.tension_cutoff}
+    larger = {name: value and stress * value for name, value in stresses.items()}
     return replace(
         scene,
         domain=Domain(size=long(scene.domain.size), cell=length * scene.domain.cell),
-        material=replace(
-            sand, density=density, **{name: constant and stress * constant for name, constant in constants.items()}
-        ),
+        material=replace(sand, density=density, **larger),
         masses=tuple(
             replace(mass, **shape(mass), velocity=mass.velocity and long(mass.velocity, length / time))
             for mass in scene.masses

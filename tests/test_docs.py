@@ -1,8 +1,6 @@
 """The pages of `docs` and README: links, names of code, commands, blocks of TOML and Python; the site as a whole."""
 
 import dataclasses
-import importlib
-import importlib.util
 import json
 import os
 import re
@@ -11,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -54,16 +53,8 @@ def test_code_that_a_page_names_exists(page: Path) -> None:
     for name in NAME.findall(page.read_text()):
         if "/" in name:
             assert (ROOT / name).exists() or "NAME" in name, name
-            continue
-        parts = name.split(".")
-        for count in range(len(parts), 0, -1):
-            try:
-                member = importlib.import_module(".".join(parts[:count]))
-            except ModuleNotFoundError:
-                continue
-            for part in parts[count:]:
-                member = getattr(member, part)
-            break
+        else:
+            resolve_name(name)
 
 
 @pytest.mark.parametrize(
@@ -124,9 +115,8 @@ def test_the_gradients_of_the_page_agree() -> None:
     """With respect to the floor's friction, by the layer of PyTorch and by the page's second script."""
     sides, plain = blocks(DOCS / "how-to" / "gradient.md", "python")
     slopes: dict[str, float] = {}
-    sides = sides.replace(
-        "print(type(forward).__name__, ", "slopes.setdefault(type(forward).__name__, angle.grad.item()); ("
-    )
+    kept = "slopes.setdefault(type(forward).__name__, angle.grad.item()); ("
+    sides = sides.replace("print(type(forward).__name__, ", kept)
     namespace: dict[str, Any] = {"slopes": slopes}
     exec(sides, namespace)
     # Millimetres per degree: the surrogate's is near the adjoint's.

@@ -17,13 +17,9 @@ DPI = 140
 
 
 @contextmanager
-def figure(
-    path: Path, *, rows: int = 1, columns: int = 1, size: tuple[float, float] = (5.0, 3.6)
-) -> Iterator[NDArray[Any]]:
-    """Axes of shape [rows, columns] to draw on; at the end the picture is written beside `path` and moved there.
-
-    size: of one pane [inch].
-    """
+def figure(path: Path, *, rows: int = 1, columns: int = 1, size: tuple[float, float]) -> Iterator[NDArray[Any]]:
+    """Axes of shape [rows, columns] to draw on; at the end the picture is written beside `path` and moved there. size:
+    of one pane [inch]."""
     # Imported here: --help does not need it.
     import matplotlib
 

@@ -98,11 +98,9 @@ class RunStore:
         return self.run([Run(scene=scene, record=record) for scene in scenes])
 
     def run(self, runs: Sequence[Run]) -> list[Trajectory]:
-        """The trajectory of each of `runs`; missing ones are computed first, some in parallel.
-
-        Runs that need the same kernel follow each other, cheap ones first. Raises ScenesFailed if some parallel runs
-        fail, after the others are stored.
-        """
+        """The trajectory of each of `runs`; missing ones are computed first, some in parallel. Runs that need the same
+        kernel follow each other, cheap ones first. Raises ScenesFailed if some parallel runs fail, after the others are
+        stored."""
         trajectories = {run: self._load(run) for run in dict.fromkeys(runs)}
         missing = [run for run, trajectory in trajectories.items() if trajectory is None]
         missing.sort(key=lambda run: (run.kernel, particle_steps(run.scene)))

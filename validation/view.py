@@ -13,11 +13,9 @@ TARGETS = "mpm/target-*.npz"  # file in which `validation.loop` stores the flow 
 
 
 def source_of(path: Path) -> tuple[Path, str, dict[str, Any]]:
-    """File and name of the flow at a path, and its observations (`datasets.exchange.page.Observed`).
-
-    The path is a trajectory, the folder of a run, or the folder of an inversion, for the MPM run at its first answer.
-    Raises InputError.
-    """
+    """File and name of the flow at a path, and its observations (`datasets.exchange.page.Observed`). The path is a
+    trajectory, the folder of a run, or the folder of an inversion, for the MPM run at its first answer. Raises
+    InputError."""
     from datasets.flow.trajectory import trajectory_file
 
     result = path / "result.json"

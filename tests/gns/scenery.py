@@ -49,16 +49,13 @@ def conditions(
     if baffles is not None:
         dtype, dimension = baffles.dtype, baffles.shape[3]
         friction = torch.linspace(0.2, 0.7, baffles.shape[1], dtype=dtype).expand(samples, -1)
-    of_particles, of_samples = torch.ones(count, dtype=dtype), torch.ones(samples, dtype=dtype)
+    per_particle = dict.fromkeys(("friction", "cohesion", "volume"), torch.ones(count, dtype=dtype))
+    per_sample = dict.fromkeys(("floor_friction", "wall_friction", "damping"), torch.ones(samples, dtype=dtype))
     return Conditions(
-        friction=of_particles,
-        cohesion=of_particles,
-        volume=of_particles,
+        **per_particle,
+        **per_sample,
         size=torch.tensor(ROOM[dimension], dtype=dtype).expand(samples, -1),
         gravity=torch.zeros(samples, dimension, dtype=dtype),
-        floor_friction=of_samples,
-        wall_friction=of_samples,
-        damping=of_samples,
         batch=batch,
         baffles=baffles,
         baffle_friction=friction,

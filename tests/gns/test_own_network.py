@@ -29,9 +29,9 @@ from validation.bench.stability.exact_solutions import FreeFlight
 class Braked(nn.Module):
     """Flight against a drag in proportion to the speed and to tan(phi)."""
 
-    def __init__(self, settings: ModelSettings, drag: float = 0.0) -> None:
+    def __init__(self, settings: ModelSettings, drag: float = 0.0, *, learned: bool = True) -> None:
         super().__init__()
-        self.settings, self.drag = settings, nn.Parameter(torch.tensor(drag))
+        self.settings, self.drag = settings, nn.Parameter(torch.tensor(drag)) if learned else drag
 
     def forward(self, state: State, conditions: Conditions) -> State:
         brake = -self.drag * conditions.friction.unsqueeze(1) * state.displacements[-1]
@@ -60,24 +60,13 @@ def test_it_is_scored_calibrated_and_predicts_a_band(settings: ModelSettings, da
     refused(gns.predict, scene, model=model, said="calibration: expected a calibration, from gns.score.calibrated")
 
 
-class Ballistic(nn.Module):
-    """Flight, by a law without weights."""
-
-    def __init__(self, settings: ModelSettings) -> None:
-        super().__init__()
-        self.settings = settings
-
-    def forward(self, state: State, conditions: Conditions) -> State:
-        return advanced(state, conditions, torch.zeros_like(state.positions), self.settings)
-
-
 def test_a_law_without_weights_is_a_network_too(settings: ModelSettings, dataset: Path) -> None:
     flows = flows_of(str(dataset), "test", settings)
-    assert evaluate(Ballistic(settings), flows) == evaluate(Braked(settings), flows)
+    assert evaluate(Braked(settings, learned=False), flows) == evaluate(Braked(settings), flows)
     scaled, problem = ModelSettings(cell=0.01, body_length=0.1), problem_of(2, "friction_deg")
     point, front = torch.tensor(problem.initial), FrontSettings().operator(problem.scene)
-    fronts = [GnsForward(model(scaled), problem, front).predict(point) for model in (Ballistic, Braked)]
-    torch.testing.assert_close(*fronts)
+    models = [Braked(scaled, learned=learned) for learned in (False, True)]
+    torch.testing.assert_close(*(GnsForward(model, problem, front).predict(point) for model in models))
 
 
 class OfGraph(nn.Module):

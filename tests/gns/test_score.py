@@ -102,9 +102,7 @@ def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: 
         refused(gns.predict, scene, model=model, level=level, said=f"level: expected one of 0.5, 0.8, 0.95, got {got}")
 
 
-def test_what_cannot_be_calibrated_is_an_input_error(
-    model: Path, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_not_calibrated(model: Path, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = partial(refused_by, capsys, score, "--model", model, "--keep")
     assert "expected at least one dataset" in said()
     assert "--threads" in said(dataset, "--threads", "0")

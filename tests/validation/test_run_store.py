@@ -54,9 +54,7 @@ def test_what_is_returned_is_what_is_stored(tmp_path: Path) -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_other_options_another_version_and_a_broken_file_are_run_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_options_versions_and_broken_files_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mpm = FakeMpm()
     store = RunStore(tmp_path, mpm)
     store([SCENE])

@@ -101,9 +101,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 100
 
 
-def test_no_opengl_is_one_line_after_the_series(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_opengl_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     blind = SimpleNamespace(Initialize=lambda: None, IsCurrent=lambda: False)
     plotter = SimpleNamespace(render_window=blind, close=lambda: None)
     monkeypatch.setattr(rendering.pyvista, "Plotter", lambda **_: plotter)

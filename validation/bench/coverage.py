@@ -123,11 +123,10 @@ def bench(
         with pool(min(jobs or processors(), len(missing) or 1)) as workers:
             solved = workers.finished(store_twin, missing)
             list(tqdm(solved, total=len(missing), unit="twin", leave=False, disable=None))
-        stored = {family: sorted((folder / name).glob("[0-9]*.json")) for name, family in FAMILIES.items()}
         groups = {
             family: [from_mapping(Twin, read_json(path) or {}) for path in paths]
-            for family, paths in stored.items()
-            if paths
+            for name, family in FAMILIES.items()
+            if (paths := sorted((folder / name).glob("[0-9]*.json")))
         }
     draw(out / "coverage.png", groups)
     flags = "".join(f" --only {name}" for name, family in FAMILIES.items() if family in groups)
@@ -153,11 +152,9 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
             out = None if family.forecast is None else folder / "loop"
             result = solve(problem, out, simulate=simulate, model=model if family.adapted else None)
         forecast = {} if family.forecast is None else forecasts(family, number, problem, folder / "loop", simulate)
-    posterior, box = result.posterior, problem.box
+    posterior, values = result.posterior, np.array([problem.target.truth[name] for name in problem.names])
     assert posterior is not None, "of numbers"
-    where, samples = posterior.region.sampled, posterior.samples
-    values = np.array([problem.target.truth[name] for name in problem.names])
-    point = box.shares(values)
+    where, samples, point = posterior.region.sampled, posterior.samples, problem.box.shares(values)
     excluded = np.any((point < where.low) | (point > where.high))
     density = -np.inf if excluded else float(posterior.likelihood(point[None])[0])
     return Twin(
@@ -197,7 +194,7 @@ def misread(target: Target, outlier: float, number: int) -> Target:
 def drawn(family: Family, number: int) -> Problem:
     """Twin experiment `number`: the problem of its family with priors, a truth drawn from these, and jitter seeds."""
     beside = Path(__file__).parent / family.problem
-    asked = read_problem(str(beside) if beside.exists() else family.problem)
+    asked = read_problem(beside if beside.exists() else family.problem)
     rng = np.random.default_rng([FIRST_SEED, number])
     if family.priors:
         both = zip(asked.parameters, family.priors, strict=True)
@@ -255,8 +252,7 @@ def row(family: Family, twins: Sequence[Twin]) -> Row:
         share, (low, high) = held(twins, level), WITHIN.get(level, (0.0, 1.0))
         within.append(emphasised(f"{share:.0%}", low <= share <= high))
     inside = sum(twin.inside for twin in twins) / (len(twins[0].below) * len(twins))
-    shares = {name: np.mean([twin.forecast[name] for twin in twins]) for name in twins[0].forecast}
-    forecast = ", ".join(f"{name} {share:.0%}" for name, share in shares.items())
+    forecast = ", ".join(f"{name} {np.mean([twin.forecast[name] for twin in twins]):.0%}" for name in twins[0].forecast)
     return {
         "inversions": f"{family.title}: {len(twins)}",
         "truths in the " + " / ".join(f"{level:.0%}" for level in REGIONS) + " region": " / ".join(within),

@@ -141,11 +141,9 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
 
 
 def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[list[list[CaseScore]], Inferred | None]:
-    """Run a case over the ladder of angles on its coarse cells, and at the first angle on its fine ones.
-
-    Returns the scores of each measured number at the first angle of the experiment (the inferred one if it has none),
-    then at its other angles on the coarse cells; and the inferred angle, None if no angle gives the front.
-    """
+    """Run a case over the ladder of angles on its coarse cells, and at the first angle on its fine ones. Returns the
+    scores of each measured number at the first angle of the experiment (the inferred one if it has none), then at its
+    other angles on the coarse cells; and the inferred angle, None if no angle gives the front."""
     readings, extent = experiment.readings, case.extent
     first = readings[0] if readings else Reading(name=INFERRED, deg=math.nan, rate=experiment.grains is not None)
     ladder = [replace(first, deg=deg) for deg in LADDER_DEG]
@@ -231,10 +229,8 @@ def section(label: str, experiment: Experiment, predictions: Sequence[Predicted]
 
 
 def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float]:
-    """The angle [deg] at which a front that decreases with it is `target` [m], linear between runs; and the slope.
-
-    The angle is nan if no run reaches the target or all exceed it. fronts: angle [deg] -> front [m].
-    """
+    """The angle [deg] at which a front that decreases with it is `target` [m], linear between runs; and the slope. The
+    angle is nan if no run reaches the target or all exceed it. fronts: angle [deg] -> front [m]."""
     angles = sorted(fronts)
     pairs = list(itertools.pairwise(angles))
     inside = [(a, b) for a, b in pairs if fronts[a] >= target >= fronts[b]]

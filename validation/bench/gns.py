@@ -157,10 +157,9 @@ def measure(path: Path, family: str, number: int, store: RunStore) -> ModelError
             longer = gns.simulate(replace(scene, duration=AFTER * scene.duration), model=simulator)
             by[path.stem] = replace(by[path.stem], creep=measures.creep(longer.positions, longer.frame_dt))
         seconds = {method: flow.summary["wall_s"] for method, flow in flows.items()}
-        ends = None if truth.at_wall or truth.side != 1 else band(path, scene, truth.front)
-        compared.append(
-            Compared(kind=kind, extent=truth.extent, free=not truth.at_wall, by=by, seconds=seconds, band=ends)
-        )
+        free = not truth.at_wall
+        ends = band(path, scene, truth.front) if free and truth.side == 1 else None
+        compared.append(Compared(kind=kind, extent=truth.extent, free=free, by=by, seconds=seconds, band=ends))
     torch.set_num_threads(threads)
     return ModelErrors(name=path.stem, family=family, compared=compared)
 
@@ -205,10 +204,8 @@ def conclusion(measured: Sequence[ModelErrors], mounds: Mounds) -> list[str]:
         sentences.append(f"The {LEVEL:.0%} bands contain {sum(held)} of {len(held)} fronts.")
     if mounds:
         by_mpm = max(abs(by["MPM"]) for by in mounds.values())
-        by_models = [abs(speed) for by in mounds.values() for name, speed in by.items() if name != "MPM"]
-        sentences.append(
-            f"Mounds that stand creep by {between(by_models, '.2g')} mm/s; with the MPM by at most {by_mpm:.2g} mm/s."
-        )
+        creeps = between([abs(speed) for by in mounds.values() for name, speed in by.items() if name != "MPM"], ".2g")
+        sentences.append(f"Mounds that stand creep by {creeps} mm/s; with the MPM by at most {by_mpm:.2g} mm/s.")
     return sentences
 
 
@@ -265,14 +262,10 @@ def coarser(scene: Scene, family: str) -> dict[str, Scene]:
 
 
 def coarse(scene: Scene, wanted: float) -> Scene:
-    """A scene on cells of `wanted` [m], or a little smaller.
-
-    If necessary its box becomes higher by part of a cell: else its height, a whole number of fine cells, would
-    determine which coarser cells fit.
-    """
+    """A scene on cells of `wanted` [m], or a little smaller. If necessary its box becomes higher by part of a cell:
+    else its height, a whole number of fine cells, would determine which coarser cells fit."""
     length, height, *width = scene.domain.size
-    plan = replace(scene.domain, size=(length, length, *width))
-    cell = fitted_cell(plan, wanted)
+    cell = fitted_cell(replace(scene.domain, size=(length, length, *width)), wanted)
     domain = Domain(size=(length, math.ceil(height / cell - ROUNDING) * cell, *width), cell=cell)
     return replace(scene, domain=domain, particles_per_axis=2, step_fraction=0.9)
 

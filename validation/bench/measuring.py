@@ -65,10 +65,8 @@ def turns(work: Mapping[Key, Callable[[], float]], rounds: int, what: str) -> di
 
 
 def isolated(work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
-    """`work(...)` in a new interpreter, so that memory left behind by other work does not count.
-
-    Raises the errors of `work`, and WorkFailed if the system killed it.
-    """
+    """`work(...)` in a new interpreter, so that memory left behind by other work does not count. Raises the errors of
+    `work`, and WorkFailed if the system killed it."""
     pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent)
     with without_main(), pool:
         try:
@@ -105,9 +103,7 @@ def recorded(scene: Callable[[], Scene], record: Recording, path: Path) -> Found
 
 def reset_peak() -> int:
     """Reset the record of this process's peak memory (`inverse.answer.peak_memory_mib`); return the memory [bytes].
-
-    Free memory is released first: it would hide the same amount used later.
-    """
+    Free memory is released first: it would hide the same amount used later."""
     gc.collect()
     if CLEAR.exists():
         ctypes.CDLL(None).malloc_trim(0)

@@ -62,10 +62,8 @@ def write_page(
     out: Path, name: str, conclusion: Sequence[str], *, flags: str = "", **parts: Sequence[Row] | str | float
 ) -> str:
     """Write `out`/NAME.md, its template with the parts that it names, and return its conclusion, for the terminal.
-
     Every sentence of the conclusion comes from the numbers of the page, never from a constant of its writer. flags:
-    flags with which the page was measured, today and here; parts: rows are written as a table.
-    """
+    flags with which the page was measured, today and here; parts: rows are written as a table."""
     if not 0 < len(conclusion) <= CONCLUSION:
         raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
     command, day = f"python -m validation.bench {name}{flags} --out docs", date.today().isoformat()

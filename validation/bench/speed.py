@@ -115,22 +115,16 @@ def rate(case: Workload, mode: Mode) -> float:
 
 
 def featured() -> dict[str, tuple[str, Scene, Scene]]:
-    """Name -> feature whose cost is measured, scene with it, and the same scene without it.
-
-    The paper's short column, which runs against a baffle, shipped scenes with baffles in 3D, and the cube of sand, full
-    of water and dry, in steps as scenes have them unless they say otherwise: longer ones take more sweeps.
-    """
+    """Name -> feature whose cost is measured, scene with it, and the same scene without it. The paper's short column,
+    which runs against a baffle, shipped scenes with baffles in 3D, and the cube of sand, full of water and dry, in
+    steps as scenes have them unless they say otherwise: longer ones take more sweeps."""
     baffle = Baffle(lower=(0.6, 0.0), size=(0.05, 0.1))
     short = replace(read_scene("column-short-21"), baffles=(baffle,), baffle_friction=0.385)
     baffled = {"column-short-21": short} | {name: read_scene(name) for name in ("baffles-2", "baffles-5")}
-    priced = {
-        name: (
-            f"{len(scene.baffles)} baffle{'s' * (len(scene.baffles) > 1)}",
-            scene,
-            replace(scene, baffles=(), volume_correction=remembers_gaps(scene)),
-        )
-        for name, scene in baffled.items()
-    }
+    priced = {}
+    for name, scene in baffled.items():
+        count, without = len(scene.baffles), replace(scene, baffles=(), volume_correction=remembers_gaps(scene))
+        priced[name] = (f"{count} baffle{'s' * (count > 1)}", scene, without)
     cube = replace(column(3, 32, 200), step_fraction=Scene.step_fraction)
     dry = replace(cube, material=replace(cube.material, young=2.0e6), masses=(replace(cube.masses[0], k0=0.5),))
     wet = replace(dry, material=replace(dry.material, saturated=True, permeability=1.0e-3))
@@ -178,10 +172,8 @@ def mean_x(positions: NDArray[np.float64], _: NDArray[np.float64]) -> tuple[floa
 
 
 def price(scene: Scene, rounds: int) -> Found:
-    """Cost of a scene's gradient compared with a run, medians of `rounds` turns in this process.
-
-    A short flow compiles the kernels first. The memory is the largest increase of the resident size.
-    """
+    """Cost of a scene's gradient compared with a run, medians of `rounds` turns in this process. A short flow compiles
+    the kernels first. The memory is the largest increase of the resident size."""
     short = replace(scene, duration=0.02)
     simulate(short, record=LAST, threads=1)
     gradient(short, mean_x, threads=1, memory_mib=GRADIENT_MIB)
@@ -339,12 +331,9 @@ def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found],
     ratios = between([row["runs per gradient"] for row in prices], ".1f")
     steps = between([row[PER_NODE] for row in networks], ".0f")
     best = {dimension: best_rates(rates, dimension) for dimension in (2, 3)}
+    sentence = "In {}D the MPM computes {} million particle-steps per second, for {} particles."
     return [
-        *(
-            f"In {dimension}D the MPM computes {between(by_size.values(), '.0f')} million particle-steps per second,"
-            f" for {between(by_size, ',')} particles."
-            for dimension, by_size in best.items()
-        ),
+        *(sentence.format(d, between(by_size.values(), ".0f"), between(by_size, ",")) for d, by_size in best.items()),
         f"A gradient by the adjoint takes as long as {ratios} runs, for any number of unknowns, and at most"
         f" {greatest['memory [MiB]']:.0f} MiB ({greatest['particles']:,} particles, {greatest['steps']:,} steps).",
         f"A step of the shipped networks with its gradient takes {steps} µs per node, on one thread.",

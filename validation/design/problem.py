@@ -75,11 +75,9 @@ class Limit(Record):
 
     def check(self, scene: Scene) -> None:
         """Raise InputError for a limit that flows of `scene` cannot have."""
-        low, length, place = float(scene.domain.corner[0]), scene.domain.size[0], ""
-        if self.force:
-            low, length = 0.0, np.inf
-        elif scene.domain.origin is not None:
-            place = ", an x on the map, as the origin of the box"
+        low, length = (0.0, np.inf) if self.force else (float(scene.domain.corner[0]), scene.domain.size[0])
+        on_map = not self.force and scene.domain.origin is not None
+        place = ", an x on the map, as the origin of the box" if on_map else ""
         expected = f"a number in ({low:.10g}, {low + length:.10g}){place}"
         require(low < self.below < low + length, "limit.below", expected, self.below)
         plain = self.solid is None and self.window == 0.0
@@ -87,9 +85,8 @@ class Limit(Record):
         require(0.0 <= self.window <= scene.duration, "limit.window", f"up to {scene.duration:g} s", self.window)
         if self.force:
             names = solid_names(scene)
-            valid = len(names) > 0 and self.solid in (None, *names)
             expected = f"one of {', '.join(names)}" if names else "a scene with solids"
-            require(valid, "limit.solid", expected, repr(self.solid))
+            require(bool(names) and self.solid in (None, *names), "limit.solid", expected, repr(self.solid))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,9 +173,8 @@ class DesignProblem(_Keys):
         names = [variable.name for variable in self.variables]
         for name in self.cost:
             require(name in names, f"cost.{name}", f"one of the variables {', '.join(names)}", name)
-        fewest = 4 * len(self.numbers)
+        fewest, predicted = 4 * len(self.numbers), self.surrogate != "none" or not self.fields
         require(self.runs >= fewest, "budget.runs", f"an integer of at least {fewest}", self.runs)
-        predicted = self.surrogate != "none" or not self.fields
         require(predicted, "surrogate", "gns or coarse beside fields, which no emulator of runs knows", "none")
 
     @property
@@ -209,8 +205,7 @@ class DesignProblem(_Keys):
     @property
     def unit(self) -> str:
         """Unit of the limited quantity."""
-        force = "N/m" if self.scene.dimension == 2 else "N"
-        return force if self.limit.force else "m"
+        return ("N/m" if self.scene.dimension == 2 else "N") if self.limit.force else "m"
 
     @property
     def runs(self) -> int:
@@ -229,13 +224,13 @@ class DesignProblem(_Keys):
 
     def named(self, design: Row) -> dict[str, float]:
         """Variable name -> value, for a design [K] in fractions of the ranges."""
-        both = zip(self.variables, self.values(design), strict=True)
-        return {variable.name: float(value) for variable, value in both}
+        names = (variable.name for variable in self.variables)
+        return dict(zip(names, self.values(design).tolist(), strict=True))
 
     def values(self, designs: Matrix) -> Matrix:
         """The variables in their own units, shape [..., K], of designs [..., K] in fractions of the ranges."""
-        known = len(self.variables)
-        return np.asarray(self.box.lower[:known] + self.box.range[:known] * designs)
+        count = len(self.variables)
+        return np.asarray(self.box.lower[:count] + self.box.range[:count] * designs)
 
     def price(self, designs: Matrix) -> Row:
         """The cost c . d, shape [...], of designs [..., K] in fractions of the ranges; 0 without prices."""
@@ -243,11 +238,9 @@ class DesignProblem(_Keys):
         return np.asarray(self.values(designs) @ prices)
 
     def draws(self, count: int, rng: np.random.Generator) -> Matrix:
-        """Stratified draws of the uncertain numbers, in fractions of the ranges, shape [count, Q].
-
-        Each number, of a posterior only the first, has one draw in each of `count` equally likely strata (McKay et al.,
-        A comparison of three methods for selecting values of input variables, Technometrics 21 (1979) 239-245).
-        """
+        """Stratified draws of the uncertain numbers, in fractions of the ranges, shape [count, Q]. Each number, of a
+        posterior only the first, has one draw in each of `count` equally likely strata (McKay et al., A comparison of
+        three methods for selecting values of input variables, Technometrics 21 (1979) 239-245)."""
         alone, offset = len(self.uncertain) - self.joint, len(self.variables)
         levels = qmc.LatinHypercube(alone + (self.joint > 0) + bool(self.fields), rng=rng).random(count)
         parts = [] if self.prior is None else [self.prior.at(levels[:, :alone])]
@@ -267,16 +260,15 @@ class DesignProblem(_Keys):
 
     def scenes_at(self, points: Matrix, first: int) -> list[Scene]:
         """The scenes at points [n, K + Q] in fractions of the ranges, rounded to a millionth: they identify a run.
-
-        first: number of the first flow, which determines its jitter seed.
-        """
-        values = enumerate(self.box.at(np.round(points, 6)), first)
-        return [self.scene_at(row, jitter_seed(self.scene.seed, number)) for number, row in values]
+        first: number of the first flow, which determines its jitter seed."""
+        rows = enumerate(self.box.at(np.round(points, 6)), first)
+        return [self.scene_at(row, jitter_seed(self.scene.seed, number)) for number, row in rows]
 
 
-def with_draws(design: Row, draws: Matrix) -> Matrix:
-    """All numbers [n, K + Q]: a design [K] combined with each of the draws [n, Q] of the uncertain numbers."""
-    return np.hstack([np.tile(design, (len(draws), 1)), draws])
+def with_draws(designs: Matrix, draws: Matrix) -> Matrix:
+    """All numbers [S n, K + Q]: each design [S, K], or one [K], with each of draws [n, Q] of the uncertain numbers."""
+    designs = np.atleast_2d(designs)
+    return np.hstack([np.repeat(designs, len(draws), axis=0), np.tile(draws, (len(designs), 1))])
 
 
 def read_design(name: str | Path) -> DesignProblem:
@@ -291,10 +283,10 @@ def read_design(name: str | Path) -> DesignProblem:
         else:
             keys["scene"] = scene_from(file.scene, path.parent)
         if (posterior := keys.pop("posterior")) is not None:
-            names, keys["samples"], keys["remarks"] = known_of(path.parent / posterior, keys["scene"])
-            lower, upper = (end.tolist() for end in (keys["samples"].min(axis=0), keys["samples"].max(axis=0)))
-            ranges = zip(names, lower, upper, strict=True)
+            names, samples, keys["remarks"] = known_of(path.parent / posterior, keys["scene"])
+            ranges = zip(names, samples.min(axis=0).tolist(), samples.max(axis=0).tolist(), strict=True)
             keys["uncertain"] += tuple(Parameter(name=name, lower=low, upper=high) for name, low, high in ranges)
+            keys["samples"] = samples
         return DesignProblem(name=path.stem, **keys)
 
 

@@ -144,22 +144,11 @@ class RacedDesign(Checked):
     predicting: float
     """Time of the predictor [s]."""
 
-    @property
-    def expected(self) -> float:
-        return self.race.probability(self.winner)
-
-    @property
-    def spent(self) -> int:
-        """Total number of MPM runs."""
-        return len(self.pairs[0])
-
 
 def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, int], Row]) -> RacedDesign:
-    """The winning design, checked by flows of `respond`, which also takes the number of the first flow.
-
-    A few initial flows measure the errors of the predictor. If the check refuses the design, the flows of the check
-    measure them too, and the race continues for a second design.
-    """
+    """The winning design, checked by flows of `respond`, which also takes the number of the first flow. A few initial
+    flows measure the errors of the predictor. If the check refuses the design, the flows of the check measure them too,
+    and the race continues for a second design."""
     began, predicting = time.perf_counter(), 0.0
     race, rng = Race(problem, predict), np.random.default_rng([problem.budget.seed, 6])
 
@@ -191,6 +180,8 @@ def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, i
             pairs=(ours, theirs),
             points=points,
             responses=shown,
+            expected=race.probability(best),
+            spent=len(ours),
             seconds=time.perf_counter() - began,
             predicting=predicting,
         )

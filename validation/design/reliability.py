@@ -29,7 +29,7 @@ from inverse.posterior import Matrix, Row
 from inverse.posterior.emulator import Emulator, fitted, most_informative
 from inverse.posterior.posterior import repeated_scatter
 from inverse.search.waves import ModelRun, WaveSearch
-from validation.design.problem import DesignProblem
+from validation.design.problem import DesignProblem, with_draws
 
 DRAWS = 256
 """Draws of the uncertain numbers in the mean of a probability: of too few, quantiles lie too near the median."""
@@ -68,14 +68,9 @@ class Reliability:
         """Draws of the uncertain numbers, the same for every design, shape [DRAWS, Q]."""
         return self.problem.draws(DRAWS, np.random.default_rng([self.problem.budget.seed, 1]))
 
-    def joined(self, designs: Matrix, count: int = DRAWS) -> Matrix:
-        """Each of designs [S, K] with each of the first draws, shape [S count, K + Q]."""
-        return np.hstack([np.repeat(designs, count, axis=0), np.tile(self.draws[:count], (len(designs), 1))])
-
     def probability(self, designs: Matrix, *, error: float = 0.0) -> Row:
         """P of designs [S, K], shape [S]; error: number of standard deviations, of variance V, added to the mean."""
-        points = self.joined(designs)
-        mean, variance, total = self.moments(points)
+        mean, variance, total = self.moments(with_draws(designs, self.draws))
         if error:
             mean, total = mean + error * np.sqrt(variance), np.maximum(total - variance, self.emulator.scatter[0, 0])
         below = t.cdf((self.problem.limit.below - mean) / np.sqrt(total), self.emulator.freedom)
@@ -89,11 +84,9 @@ class Reliability:
 
     @cached_property
     def best(self) -> Row:
-        """The cheapest design with the required P; the most reliable one if there is none or no cost. Shape [K].
-
-        P is computed with a mean one standard deviation larger than expected, because an optimum favours places where
-        the emulator errs low. The search is SciPy's differential evolution with Lampinen's rule for constraints.
-        """
+        """The cheapest design with the required P; the most reliable one if there is none or no cost. Shape [K]. P is
+        computed with a mean one standard deviation larger than expected, because an optimum favours places where the
+        emulator errs low. The search is SciPy's differential evolution with Lampinen's rule for constraints."""
         problem, rng = self.problem, np.random.default_rng([self.problem.budget.seed, 2])
 
         def cautious(x: Matrix) -> Row:
@@ -139,9 +132,8 @@ class Reliability:
 
     def as_json(self) -> dict[str, Any]:
         """A wave in `design.json`."""
-        named = self.problem.named(self.best)
-        runs = {"runs": len(self.points), "design": named}
-        return runs | {"probability": self.expected, "cautious": self.cautious}
+        design, probabilities = self.problem.named(self.best), {"probability": self.expected, "cautious": self.cautious}
+        return {"runs": len(self.points), "design": design} | probabilities
 
     def next_points(self, count: int, rng: np.random.Generator) -> Matrix:
         """The points of the next wave, shape [count, K + Q]."""
@@ -154,7 +146,7 @@ class Reliability:
             may &= problem.price(designs) <= self.price
         hopes[~may] = 0.0
         rivals = designs[np.argsort(-hopes)[: min(RIVALS, int(may.sum()))]]
-        points = self.joined(np.vstack([self.best[None], rivals]), CANDIDATES)
+        points = with_draws(np.vstack([self.best, rivals]), self.draws[:CANDIDATES])
         mean, _, total = self.moments(points)
         relevance = np.exp(-0.5 * (mean - problem.limit.below) ** 2 / total)
         # The best design counts as much as its rivals together.

@@ -41,16 +41,15 @@ class Checked:
     """All numbers of the check's flows, in fractions of the ranges, shape [N, K + Q]."""
     responses: Row
     """Responses of the check's flows, shape [N]."""
+    expected: float
+    """The probability that the design keeps the limit, before the check."""
+    spent: int
+    """Number of MPM runs; of an emulator without the checks."""
     seconds: float
     remark: str = ""
     """A remark on these flows."""
     moving: int = 0
     """Number of flows in the check that keep the limit at their end but still move, and may yet exceed it."""
-
-    @property
-    def expected(self) -> float:
-        """The probability that the design keeps the limit, before the check."""
-        raise NotImplementedError
 
     @property
     def design(self) -> dict[str, float]:
@@ -75,9 +74,7 @@ class Checked:
     @property
     def verdict(self) -> Verdict:
         """Confirmed if at most a share 1 - p of the check's flows exceeds the limit, or may do so once at rest.
-
-        Unreachable if a larger share exceeds it and no design within the bounds is expected to reach p.
-        """
+        Unreachable if a larger share exceeds it and no design within the bounds is expected to reach p."""
         if self.exceeding + self.moving <= self.problem.allowed:
             return Verdict.CONFIRMED
         hopeful = self.exceeding <= self.problem.allowed or self.expected >= self.problem.limit.probability
@@ -96,15 +93,6 @@ class Design(Checked):
         """The estimate from the runs before the check."""
         return self.search.knowledge
 
-    @property
-    def expected(self) -> float:
-        return self.reliability.expected
-
-    @property
-    def spent(self) -> int:
-        """Number of runs without the checks."""
-        return self.problem.runs - self.search.left
-
 
 def designed(problem: DesignProblem, respond: Respond) -> Design:
     """The design, checked by flows of `respond`."""
@@ -119,12 +107,20 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
     search = search.ran(filling(count, fill, search.generator(0), repeats=CONSTANTS.repeats))
     for turn in range(ROUNDS):
         search = searched(search)
-        best, draws = search.knowledge.best, problem.draws(problem.budget.checks, search.generator(3 + turn))
-        points = with_draws(best, draws)
+        known, draws = search.knowledge, problem.draws(problem.budget.checks, search.generator(3 + turn))
+        points = with_draws(known.best, draws)
         # Checks do not count towards the budget.
         search = replace(search, budget=search.budget + len(points)).ran(points)
-        responses, seconds = search.numbers[-len(points) :, 0], time.perf_counter() - began
-        design = Design(problem=problem, search=search, best=best, points=points, responses=responses, seconds=seconds)
+        design = Design(
+            problem=problem,
+            search=search,
+            best=known.best,
+            points=points,
+            responses=search.numbers[-len(points) :, 0],
+            expected=known.expected,
+            spent=problem.runs - search.left,
+            seconds=time.perf_counter() - began,
+        )
         if design.verdict is not Verdict.UNCONFIRMED:
             break
     return design

@@ -199,11 +199,9 @@ class Experiment(Record):
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """The readings of its angles, by one rule.
-
-        At the repose angle a flow stops: the angle is mu_s, and friction grows with the rate if that is known. At any
-        other angle, such as an avalanche's, grains start to flow: it is the friction of the whole flow.
-        """
+        """The readings of its angles, by one rule. At the repose angle a flow stops: the angle is mu_s, and friction
+        grows with the rate if that is known. At any other angle, such as an avalanche's, grains start to flow: it is
+        the friction of the whole flow."""
         known = self.grains is not None
         return tuple(
             Reading(name=angle.name, deg=angle.deg, angle=angle.angle, rate=known and angle.name == REPOSE)
@@ -228,16 +226,13 @@ class Experiment(Record):
         return replace(scene, material=replace(scene.material, consolidation=variant.consolidation))
 
 
-def read_experiment(folder: Path) -> Experiment:
-    """Read `folder`/experiment.toml. Raises InputError, which names the file and the key."""
-    path = folder / "experiment.toml"
-    with naming(path):
-        return replace(from_mapping(Experiment, read_toml(path)), folder=folder)
-
-
 def read_experiments(folder: Path = FOLDER) -> list[Experiment]:
-    """Every experiment in `folder`, by name. Raises InputError."""
-    return [read_experiment(path.parent) for path in sorted(folder.glob("*/experiment.toml"))]
+    """Every experiment `folder`/NAME/experiment.toml, by name. Raises InputError, which names the file and the key."""
+    experiments = []
+    for path in sorted(folder.glob("*/experiment.toml")):
+        with naming(path):
+            experiments.append(replace(from_mapping(Experiment, read_toml(path)), folder=path.parent))
+    return experiments
 
 
 def quantity(measured: Measured, flow: Trajectory) -> float:
@@ -282,9 +277,7 @@ def mean_profile(scene: Scene, positions: Positions, stations: Floats, beside_wa
 
 def edge(stations: Floats, heights: Floats, thickness: float) -> float:
     """The x [m] beyond the highest station where a profile first falls below `thickness` [m], linear in between.
-
-    stations, heights: [m], shape [S] each. The last station if it never does.
-    """
+    stations, heights: [m], shape [S] each. The last station if it never does."""
     top = int(np.argmax(heights))
     below = top + np.flatnonzero(heights[top:] < thickness)
     if len(below) == 0:

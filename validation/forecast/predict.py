@@ -100,9 +100,7 @@ class Forecast:
 
 def quantiles(values: Floats, level: float) -> list[Any]:
     """Lower end, median and upper end of an interval of probability `level`, of rank p (S + 1) along the first axis.
-
-    The results are floats, or arrays over the other axes.
-    """
+    The results are floats, or arrays over the other axes."""
     ends = np.quantile(values, [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0, method="weibull")
     return [float(end) if end.ndim == 0 else end for end in ends]
 
@@ -125,8 +123,7 @@ def predicted(
     ordered = samples[np.argsort(samples[:, 0], kind="stable")]
     chosen = ordered[((np.arange(draws) + rng.random(draws)) * len(ordered) / draws).astype(int)]
     scenes = [at(scene, names, row, jitter_seed(scene.seed, number)) for number, row in enumerate(chosen)]
-    record = recording_of(scene)
-    flows = store(scenes, record=record)
+    flows = store(scenes, record=recording_of(scene))
     numbers, stations = [numbers_of(flow) for flow in flows], profile_stations(scene, scene.domain.cell)
     released, corner = initial_particles(scene), float(scene.domain.corner[0])
     maps: PlanMaps | None = None
@@ -146,7 +143,7 @@ def predicted(
         start=corner + front(released.positions, released.volume),
         stations=corner + stations,
         profiles=np.stack([profile_of(flow, stations) for flow in flows]),
-        cells=cells_error(scene, names, np.median(samples, axis=0), store, record),
+        cells=cells_error(scene, names, np.median(samples, axis=0), store),
         model_error=model_error,
         maps=maps,
         covered=covered,
@@ -160,11 +157,8 @@ def recording_of(scene: Scene) -> Recording:
 
 
 def with_peaks(flow: Trajectory, threshold: float | None = None) -> Trajectory:
-    """The deposit of a flow, with the largest values of all frames in its summary.
-
-    `force` on each solid [N, in 2D N/m]; in 3D `depth` [m] and `velocity` [m/s] of each cell, shape [X, Z]. threshold:
-    [m], as in `datasets.maps`.
-    """
+    """The deposit of a flow, with the largest values of all frames in its summary. `force` on each solid [N, in 2D
+    N/m]; in 3D `depth` [m] and `velocity` [m/s] of each cell, shape [X, Z]. threshold: [m], as in `datasets.maps`."""
     peaks = dict[str, Any]()
     if names := solid_names(flow.scene):
         largest = forces_of(flow).largest
@@ -198,10 +192,8 @@ def numbers_of(flow: Trajectory) -> dict[str, float]:
 
 
 def height_of(scene: Scene, positions: Floats, volumes: Floats) -> float:
-    """Mean height of a deposit [m]; positions [N, D] and volumes [N] of its particles.
-
-    In 3D (1/2) int h^2 dA / int h dA with the thickness h over the cells: features narrower than a cell spread over it.
-    """
+    """Mean height of a deposit [m]; positions [N, D] and volumes [N] of its particles. In 3D (1/2) int h^2 dA / int h
+    dA with the thickness h over the cells: features narrower than a cell spread over it."""
     if scene.dimension == 2:
         return mean_height(above(positions, ground_of(scene)), volumes)
     cell = scene.domain.cell
@@ -223,19 +215,15 @@ def profile_of(flow: Trajectory, stations: Floats) -> Floats:
     return height_profile(flow.positions[-1][inside], flow.volumes[inside], stations) / width
 
 
-def cells_error(
-    scene: Scene, names: Sequence[str], median: Floats, store: RunStore, record: Recording
-) -> dict[str, float]:
+def cells_error(scene: Scene, names: Sequence[str], median: Floats, store: RunStore) -> dict[str, float]:
     """d of each number, from runs at the medians; empty if the box does not divide into other cells."""
     edge = scene.domain.cell
     for factor, runs in other_cells(scene, CHECKS).items():
         other = factor * edge
-        seeds = {edge: CHECKS, other: runs}
+        seeds = [(edge, seed) for seed in range(CHECKS)] + [(other, seed) for seed in range(runs)]
         try:
-            scenes = [
-                at(scene.with_cell(cell), names, median, seed) for cell, count in seeds.items() for seed in range(count)
-            ]
-            flows = [numbers_of(flow) for flow in store(scenes, record=record)]
+            scenes = [at(scene.with_cell(cell), names, median, seed) for cell, seed in seeds]
+            flows = [numbers_of(flow) for flow in store(scenes, record=recording_of(scene))]
         except InputError:
             continue
         parts = (flows[:CHECKS], flows[CHECKS:])

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError, require
+from datasets.exchange.rasters import write_raster
 from datasets.files import write_json, write_text
 from datasets.markdown import markdown_table
 from datasets.scene import Scene
@@ -64,22 +65,17 @@ def forecast_scene(
         place = "mpm" if threshold is None else f"mpm-{threshold:g}"
         store = RunStore(folder / place, simulate, label="forecast-", reduce=partial(with_peaks, threshold=threshold))
         forecast = predicted(asked, names, samples, store, threshold=threshold, pressure=pressure, **options)
-        if out is not None:
-            save(forecast, folder, f"python -m validation.forecast {result} {scene} --out {out}")
+        if out is None:
+            return forecast
+        write_json(folder / "forecast.json", forecast.as_json())
+        if (maps := forecast.maps) is not None:
+            for name, values in forecast.covered.items():
+                path = folder / f"probability-{name}.tif"
+                write_raster(path, values, maps.cell, maps.corner, maps.crs, f"probability of {name}", "-")
+        draw(forecast, folder / "forecast.png")
+        command = f"python -m validation.forecast {result} {scene} --out {out}"
+        write_text(folder / "report.md", report(forecast, command))
     return forecast
-
-
-def save(forecast: Forecast, folder: Path, command: str) -> None:
-    """Write `forecast.json`, `report.md`, `forecast.png` and the maps."""
-    from datasets.exchange.rasters import write_raster
-
-    write_json(folder / "forecast.json", forecast.as_json())
-    if (maps := forecast.maps) is not None:
-        for name, values in forecast.covered.items():
-            path = folder / f"probability-{name}.tif"
-            write_raster(path, values, maps.cell, maps.corner, maps.crs, f"probability of {name}", "-")
-    draw(forecast, folder / "forecast.png")
-    write_text(folder / "report.md", report(forecast, command))
 
 
 def worded(name: str, value: float) -> str:

@@ -127,16 +127,12 @@ def row(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     return {"deposit": name, **unknowns, "verdict": result["verdict"], "answers": len(result["answers"]), **cost}
 
 
-def write(
-    out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count: int, digests: Mapping[str, str]
-) -> None:
+def write(out: Path, problem: Problem, rows: Sequence[dict[str, Any]], count: int, digests: dict[str, str]) -> None:
     """Write the table of the deposits inverted so far, out of `count`, and their digests."""
     write_csv(out / "series.csv", [*rows[0]], ([*line.values()] for line in rows))
     write_json(out / SERIES, {"problem": problem.name, "deposits": rows, "digests": digests})
     kinds = {number.name + end: number.kind for number in problem.numbers for end in ("", *ENDS)}
-    shown = [
-        {key: kinds[key].digit_text(value) if key in kinds else value for key, value in line.items()} for line in rows
-    ]
+    shown = [line | {key: kind.digit_text(line[key]) for key, kind in kinds.items()} for line in rows]
     text = markdown_table(shown, style="github", floatfmt=".1f", disable_numparse=[0])
     write_text(out / "report.md", f"# {problem.name}: a series\n\n{summary(rows, count)}\n\n{text}\n")
 

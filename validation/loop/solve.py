@@ -36,8 +36,7 @@ from validation.loop.verdict import Conclusion, concluded, judged, nearer
 from validation.run_store import RunStore, kept
 
 Known = tuple[Vector, Trajectory]  # parameters [U], and the MPM's flow with them
-RUNS, TWIN = "mpm", "target-"
-"""Folder of the MPM runs beside the result; prefix of the file of a twin's own run."""
+RUNS = "mpm"  # folder of the MPM runs beside the result
 SUGGESTED = 6  # further measurements that `result.json` suggests
 
 
@@ -72,7 +71,7 @@ def solve(
 
             result = invert(asked, model=model)
         else:
-            store = RunStore(folder / RUNS, simulate, label=TWIN)
+            store = RunStore(folder / RUNS, simulate, label="target-")
             target = read_target(asked, lambda scene: store([scene], record=recording(asked.operators))[0])
             made = [] if model is None or target.observation.over_time else adapted_runs(model, asked)
             task = Task(problem=asked, target=target, folder=folder / RUNS, simulate=simulate)
@@ -114,6 +113,7 @@ def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -
     state, answer = outcome.search, outcome.answers[0]
     files = {mpm_run.file for mpm_run in outcome.cells}
     runs = (*state.runs, *outcome.cells, *(mpm_run for mpm_run in cells if mpm_run.file not in files))
+    asked = {"asked": led is not None, "reason": reason}
     coarse = {"coarse_runs": len(led.runs)} if led is not None and isinstance(forward, MpmForward) else {}
     return Result(
         problem=task.problem,
@@ -129,8 +129,7 @@ def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -
         further=further(outcome),
         without=left_out(state),
         notes=(statement(state),),
-        surrogate={"asked": led is not None, "reason": reason}
-        | ({} if led is None else of_surrogate(task, led, state)),
+        surrogate=asked | ({} if led is None else of_surrogate(task, led, state)),
         seconds={
             "mpm": sum(mpm_run.seconds for mpm_run in runs),
             "total": time.perf_counter() - began,
@@ -156,10 +155,8 @@ def waves(state: Loop) -> list[dict[str, Any]]:
 
 
 def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
-    """The surrogate's answers, heaviest first, and their MPM misfit, in the form of `result.json`.
-
-    The misfit is that of the MPM runs at the answer; if none were necessary, the emulator's, from the runs around it.
-    """
+    """The surrogate's answers, heaviest first, and their MPM misfit, in the form of `result.json`. The misfit is that
+    of the MPM runs at the answer; if none were necessary, the emulator's, from the runs around it."""
     named, box, answers = task.problem.named, task.problem.box, []
     for part, parameters in zip(led.answers, task.at(np.stack([part.point for part in led.answers])), strict=True):
         checks = [mpm_run for mpm_run in state.runs if np.array_equal(mpm_run.parameters, parameters)]
@@ -170,8 +167,7 @@ def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
             error["front_pct"] = 100.0 * float(np.mean([task.target.front_error(check.trajectory) for check in checks]))
         interval = dict(zip(task.problem.names, box.at(part.interval).T.tolist(), strict=True))
         answer = {"unknowns": named(parameters), "interval": interval, "weight": part.weight, "mpm_error": error}
-        answer["half_widths"] = named(box.range * part.half_widths)
-        answers.append(answer)
+        answers.append(answer | {"half_widths": named(box.range * part.half_widths)})
     return {**answers[0], "answers": answers, "seconds": led.seconds, "predictions": len(led.runs)}
 
 

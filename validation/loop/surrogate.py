@@ -41,11 +41,9 @@ QUICKEST = 0.1  # shortest prediction [s]: if even that costs too much, no weigh
 
 
 def choose(task: Task, model: Path | None = None) -> tuple[Forward | None, str]:
-    """The surrogate that leads the search, or None; and the reason in words.
-
-    model: weights, which are used at any cost; by default the shipped ones. The MPM on larger cells leads only if the
-    problem says `coarse`. Raises InputError if the problem demands a surrogate that does not exist.
-    """
+    """The surrogate that leads the search, or None; and the reason in words. model: weights, which are used at any
+    cost; by default the shipped ones. The MPM on larger cells leads only if the problem says `coarse`. Raises
+    InputError if the problem demands a surrogate that does not exist."""
     problem, requested = task.problem, task.problem.surrogate
     if requested is Surrogate.NONE:
         return None, "the problem asks for none"
@@ -118,10 +116,8 @@ def loaded(weights: Path, stamp: int, scene: Scene, names: tuple[str, ...]) -> t
 
 def guided(search: Loop, led: Inversion) -> tuple[Loop, bool]:
     """Run the MPM at and around the answers of a surrogate (`led`), until the answers so corrected no longer change.
-
     Also returns whether the MPM confirms one of them: if not, more runs near the others would be of no use. If the
-    known runs are enough for an emulator, they correct the surrogate's answers at once.
-    """
+    known runs are enough for an emulator, they correct the surrogate's answers at once."""
     unknowns, state = len(search.knowledge.problem.parameters), search
     size = wave_size(unknowns)
     if len(search.known) < fewest_runs(unknowns):
@@ -154,10 +150,8 @@ def converged(state: Loop) -> bool:
 
 
 def at_edge(state: Loop) -> bool:
-    """Whether samples lie at the edge of the surrogate's region, because the MPM leads beyond it.
-
-    Before the emulator has converged samples lie there too, which means nothing yet.
-    """
+    """Whether samples lie at the edge of the surrogate's region, because the MPM leads beyond it. Before the emulator
+    has converged samples lie there too, which means nothing yet."""
     guide, posterior = state.knowledge.guide, state.knowledge.posterior
     if guide is None or posterior.likelihood.within is None or not converged(state):
         return False

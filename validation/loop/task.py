@@ -32,8 +32,7 @@ class Task:
 
     problem: Problem
     target: Target
-    folder: Path
-    """Folder of the stored MPM runs."""
+    folder: Path  # of the stored MPM runs
     simulate: Simulate = simulate_many
 
     @cached_property
@@ -44,26 +43,22 @@ class Task:
     def at(self, points: Matrix) -> list[Vector]:
         """Parameters at points [S, U] of the unit box, rounded to a millionth of the range: they identify a run."""
         box = self.problem.box
-        digits = 6 - np.ceil(np.log10(box.range)).astype(int)
-        rounded = [
-            [round(float(value), int(count)) for value, count in zip(row, digits, strict=True)]
-            for row in box.at(points)
-        ]
+        digits = (6 - np.ceil(np.log10(box.range)).astype(int)).tolist()
+        rounded = [[*map(round, row, digits)] for row in box.at(points).tolist()]
         return [*np.clip(np.reshape(rounded, points.shape), box.lower, box.upper)]
 
     def __call__(self, points: Matrix, first: int, *, purpose: Purpose = Purpose.WAVE) -> tuple[MpmRun, ...]:
         """Runs at points [S, U] of the unit box, each with its own jitter seed; first: number of the first run."""
-        locations, seed = self.at(points), self.problem.scene.seed
-        seeds = [jitter_seed(seed, first + index) for index in range(len(locations))]
-        scenes = [self.problem.scene_at(*pair) for pair in zip(locations, seeds, strict=True)]
-        return self.compared(locations, scenes, purpose)
+        locations, problem = self.at(points), self.problem
+        seeds = [jitter_seed(problem.scene.seed, first + index) for index in range(len(locations))]
+        return self.compared(locations, [*map(problem.scene_at, locations, seeds)], purpose)
 
     def compared(self, locations: Sequence[Vector], scenes: Sequence[Scene], purpose: Purpose) -> tuple[MpmRun, ...]:
         """Runs of `scenes`, which have the parameters `locations`, compared with the target."""
         store = RunStore(self.folder, self.simulate, label=f"{purpose}-")
-        record = recording([self.target.observation])
-        flows = store(scenes, record=record)
-        files = [f"{self.folder.name}/{store.path(Run(scene=scene, record=record)).name}" for scene in scenes]
+        runs = [Run(scene=scene, record=recording([self.target.observation])) for scene in scenes]
+        flows = store.run(runs)
+        files = [f"{self.folder.name}/{store.path(run).name}" for run in runs]
         return tuple(self.run(*triple, purpose) for triple in zip(locations, flows, files, strict=True))
 
     def run(self, location: Vector, flow: Trajectory, file: str = "", purpose: Purpose = Purpose.KNOWN) -> MpmRun:

@@ -44,10 +44,8 @@ class Conclusion:
 
 
 def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Conclusion:
-    """The checked answers, whose half-widths include the discrepancy of the first answer, and the verdict.
-
-    moves: see `checked`.
-    """
+    """The checked answers, whose half-widths include the discrepancy of the first answer, and the verdict. moves: see
+    `checked`."""
     unreachable = is_unreachable(state.knowledge.posterior)
     state, answers = checked(state, moves=moves)
     if cells := on_other_cells(task, answers[0]):
@@ -71,10 +69,8 @@ def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Concl
 
 
 def discrepancy(state: Loop, answer: Answer) -> Fit:
-    """The fit at the likeliest point of `answer`'s part of the posterior: its Birge ratio enlarges the errors.
-
-    The residuals are smallest there; the median of a skewed posterior lies elsewhere.
-    """
+    """The fit at the likeliest point of `answer`'s part of the posterior: its Birge ratio enlarges the errors. The
+    residuals are smallest there; the median of a skewed posterior lies elsewhere."""
     # Answers are ordered differently from parts: confirmed ones come first.
     location = state.knowledge.box.shares(answer.parameters)
     part = min(parts_of(state), key=lambda candidate: float(np.linalg.norm(candidate.point - location)))
@@ -83,11 +79,9 @@ def discrepancy(state: Loop, answer: Answer) -> Fit:
 
 
 def reopened(state: Loop, **changes: Any) -> Loop:
-    """The search with larger errors: if the posterior leaves the region of its runs, excluded parameters reopen.
-
-    An emulator of the runs in the old region would extrapolate. An emulator of all runs replaces it (with more than
-    `few_parameters`, of all runs in the wider region), then emulators of smaller regions as long as they know more.
-    """
+    """The search with larger errors: if the posterior leaves the region of its runs, excluded parameters reopen. An
+    emulator of the runs in the old region would extrapolate. An emulator of all runs replaces it (with more than
+    `few_parameters`, of all runs in the wider region), then emulators of smaller regions as long as they know more."""
     before = state.knowledge.posterior.region
     state = state.informed(**changes)
     region, unknowns = state.knowledge.posterior.region, len(before.low)
@@ -111,9 +105,7 @@ def judged(state: Loop) -> Conclusion:
 
 def nearer(led: Loop, whole: Conclusion) -> Conclusion:
     """The conclusion nearer to the target: of an unconfirmed search led by a surrogate, or of the whole box after it.
-
-    Both use the runs of both searches. Parameters excluded over the whole box remain excluded.
-    """
+    Both use the runs of both searches. Parameters excluded over the whole box remain excluded."""
     guided = judged(replace(led, runs=(*led.runs, *whole.search.runs[len(led.runs) :])).informed())
     fits = (conclusion.answers[0].fit for conclusion in (guided, whole))
     ratios = [math.inf if fit is None else fit.ratio for fit in fits]
@@ -121,11 +113,9 @@ def nearer(led: Loop, whole: Conclusion) -> Conclusion:
 
 
 def checked(state: Loop, *, again: bool = True, moves: int = CONSTANTS.moves) -> tuple[Loop, tuple[Answer, ...]]:
-    """Run checks at every answer, and again if the checks move an answer, at most `moves` times.
-
-    The answer remains the median of the posterior; its checks are the nearest ones. again: also check once more if the
-    MPM does not confirm the first answer.
-    """
+    """Run checks at every answer, and again if the checks move an answer, at most `moves` times. The answer remains the
+    median of the posterior; its checks are the nearest ones. again: also check once more if the MPM does not confirm
+    the first answer."""
     for turn in range(CONSTANTS.rounds):
         parts, close = parts_of(state), CLOSE if turn < moves else math.inf
         locations = [part.point for part in parts if not is_checked(state, part, close)]
@@ -210,24 +200,15 @@ def fitted(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Fit:
     if shown.shape[1] <= MAX_NUMBERS:
         # Derivatives by parameters in fractions of their ranges, by the emulator, shape [U, M].
         slopes = (knowledge.posterior.expected(place + step) - knowledge.posterior.expected(place - step)) / 2e-3
-    return fit(
-        knowledge.target,
-        shown,
-        scatter,
-        cells=knowledge.discretisation,
-        extrapolated=knowledge.extrapolated,
-        parameters=len(point),
-        slopes=slopes,
-    )
+    cells, beyond, count = knowledge.discretisation, knowledge.extrapolated, len(point)
+    return fit(knowledge.target, shown, scatter, cells=cells, extrapolated=beyond, parameters=count, slopes=slopes)
 
 
 def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
-    """Runs at an answer on cells of another size (`other_cells`); none for a twin on the scene's own cells.
-
-    The change that they show is, to first order, the error of the cells used (Roache, Perspective: a method for uniform
-    reporting of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413). There are none if the observation is of
-    single particles, or if the box does not divide into such cells.
-    """
+    """Runs at an answer on cells of another size (`other_cells`); none for a twin on the scene's own cells. The change
+    that they show is, to first order, the error of the cells used (Roache, Perspective: a method for uniform reporting
+    of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413). There are none if the observation is of single
+    particles, or if the box does not divide into such cells."""
     # At the place of the checks, so that the runs differ only in cell size.
     location = answer.checks[0].parameters
     scene = task.problem.scene_at(location)
@@ -245,12 +226,10 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
 
 def other_cells(scene: Scene, runs: int) -> dict[float, int]:
     """Sizes of the cells that show the error of the cells of `scene`, over the size of these, the best one first, each
-    with the number of runs beside `runs` on the scene's cells.
-
-    Half the size in 2D, twice the size in 3D, where half the size costs sixteen times as much. If a mass is thinner
-    than `THIN` cells, larger cells do not show the error: for a slide a quarter of a cell thick, the change on larger
-    cells has the other sign than the change on smaller cells.
-    """
+    with the number of runs beside `runs` on the scene's cells. Half the size in 2D, twice the size in 3D, where half
+    the size costs sixteen times as much. If a mass is thinner than `THIN` cells, larger cells do not show the error:
+    for a slide a quarter of a cell thick, the change on larger cells has the other sign than the change on smaller
+    cells."""
     thin = min(map(mean_thickness, scene.masses)) < THIN * scene.domain.cell
     if scene.dimension == 2:
         return {HALF: runs}
@@ -267,10 +246,8 @@ def mean_thickness(mass: Mass) -> float:
 
 
 def is_unreachable(posterior: Posterior) -> bool:
-    """Whether the likeliest parameters lie at a bound and misfit by more than scatter and noise explain.
-
-    A stated prior is ignored. Call it before Birge's ratio enlarges the errors, which moves medians off the bound.
-    """
+    """Whether the likeliest parameters lie at a bound and misfit by more than scatter and noise explain. A stated prior
+    is ignored. Call it before Birge's ratio enlarges the errors, which moves medians off the bound."""
     samples = posterior.samples if posterior.likelihood.prior is None else posterior.plausible
     best = samples.points[[int(np.argmax(samples.log_likelihood))]]
     if not np.any((best < AT_BOUND) | (best > 1.0 - AT_BOUND)):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -82,9 +83,7 @@ def test_ends_and_equal_shares_are_the_measured_ones() -> None:
         np.testing.assert_allclose(row, [front, -rear, *measures.equal_shares(line, volume)], rtol=1e-12)
 
 
-def test_a_correction_learns_and_is_left_out_where_the_steps_change(
-    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_correction_learns_and_is_left_out(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # In free flight: the ends of what hardly moves would not be moved either.
     simulator = Simulator(ModelSettings(width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1), NORMALISATION)
     checkpoint.save(tmp_path / "steps.safetensors", simulator, {})
@@ -110,14 +109,12 @@ def test_a_correction_learns_and_is_left_out_where_the_steps_change(
 def test_ends_of_rollouts_are_kept(dataset: Path, corrected: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:
     simulator = corrected.float()
     flows = flows_of(dataset, "train", simulator.settings)
-    calls: list[int] = []
-    monkeypatch.setattr(
-        "gns.training.samples.unroll", lambda *given, **named: calls.append(given[3]) or unroll(*given, **named)
-    )
+    recorded = Mock(wraps=unroll)
+    monkeypatch.setattr("gns.training.samples.unroll", recorded)
     rollouts = Rollouts([flows], simulator, TrainingSettings(batch=4, first=1.0))
     drawn = [rollouts.batch(1, np.random.default_rng(number)) for number in range(200)]
-    assert len(calls) == 2 * len(flows)
-    assert set(calls) == {len(flows[0].positions) - 1}
+    assert recorded.call_count == 2 * len(flows)
+    assert {call.args[3] for call in recorded.call_args_list} == {len(flows[0].positions) - 1}
     for ends in drawn[:5]:
         assert ends.targets.shape == (1, *ends.end.positions.shape)
         assert ends.whole.shape == (4, 1, 2 + measures.SHARES)

@@ -211,11 +211,9 @@ def test_a_layer_on_a_slope_rubs_along_it_with_the_friction_of_the_ground(bed: f
     heights = tuple((0.7 - slope * 0.4 * row,) * 4 for row in range(4))
     ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.4, 0.4), heights=heights, friction=bed)
     mass = Mass(lower=(0.4, 0.55, 0.4), size=(0.4, 0.1, 0.4), velocity=(2.0, 0.0, 0.5))
-    material = Material(friction_deg=35.0)
     # The floor of the box lies below the ground: its friction does not count.
-    scene = scene_of(
-        mass, size=(1.2, 1.0, 1.2), cell=0.02, material=material, solids=(ground,), floor_friction=0.05, duration=0.1
-    )
+    around = {"material": Material(friction_deg=35.0), "solids": (ground,), "floor_friction": 0.05}
+    scene = scene_of(mass, size=(1.2, 1.0, 1.2), cell=0.02, duration=0.1, **around)
     initial = initial_state(scene, DEEP)
     state, conditions = in_model_units(initial.state, initial.conditions)
     basal = Moment(state, conditions, DEEP, NORMALISATION).basal

@@ -141,9 +141,8 @@ def bumpy(dimension: int, samples: int = 1) -> Ground:
     generator = torch.Generator().manual_seed(5)
     like = plane(dimension)
     shape = (samples, *like.elevation.shape[1:])
-    return replace(
-        like, elevation=0.15 * torch.rand(shape, generator=generator).double(), friction=like.friction.expand(shape)
-    )
+    heights = 0.15 * torch.rand(shape, generator=generator).double()
+    return replace(like, elevation=heights, friction=like.friction.expand(shape))
 
 
 @dimensions

@@ -226,9 +226,7 @@ def test_a_training_is_not_lost_to_another(dataset: Path, tmp_path: Path, capsys
     assert (tmp_path / LAST).read_bytes() == b"of an earlier training"
 
 
-def test_a_run_of_another_model_or_a_broken_file_is_not_resumed(
-    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_other_model_or_file_is_resumed(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(dataset, tmp_path, "--updates", "1") == 0
     assert run(dataset, tmp_path, "--updates", "2", "--resume", "--history", "2") == 2
     assert "expected the model settings that the run was begun with" in capsys.readouterr().err.splitlines()[-1]

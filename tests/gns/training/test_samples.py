@@ -75,20 +75,11 @@ def test_training_sees_what_a_rollout_does(body_length: float | None, simulator:
         Field((0.0, 0.0), (0.3, 0.4), (2, 1), quantity="friction_deg", values=(22.0, 38.0), mass=1),
         Field((0.0, 0.0), (0.1, 0.1), (1, 2), quantity="velocity_x", values=(0.0, 1.0)),
     )
-    scene = scene_of(
-        Mass(kind="layer", thickness=0.06, outline=((0.0,), (0.2,))),
-        Mass(lower=(0.24, 0.12), size=(0.1, 0.1), material=replace(clay, strength_gradient=0.0)),
-        size=(0.6, 0.4),
-        cell=0.01,
-        material=clay,
-        solids=(ramp,),
-        fields=fields,
-        baffles=(Baffle(lower=(0.5, 0.0), size=(0.02, 0.1), friction=0.3),),
-        duration=0.05,
-        floor_friction=0.4,
-        wall_friction=0.2,
-        damping=0.1,
-    )
+    layer = Mass(kind="layer", thickness=0.06, outline=((0.0,), (0.2,)))
+    lump = Mass(lower=(0.24, 0.12), size=(0.1, 0.1), material=replace(clay, strength_gradient=0.0))
+    baffle = Baffle(lower=(0.5, 0.0), size=(0.02, 0.1), friction=0.3)
+    around = {"solids": (ramp,), "baffles": (baffle,), "floor_friction": 0.4, "wall_friction": 0.2, "damping": 0.1}
+    scene = scene_of(layer, lump, size=(0.6, 0.4), cell=0.01, material=clay, fields=fields, duration=0.05, **around)
     settings = simulator.settings = replace(simulator.settings, body_length=body_length)
     units = Units.of_model(scene, settings)
     scene = replace(scene, frame_dt=units.time * settings.step)
@@ -217,17 +208,11 @@ def test_a_training_begins_with_the_mean_upward_acceleration(flows: Flows, setti
 def deep() -> SampleBatch:
     """A sample in a box of 0.8 x 0.6 x 0.8 m, points and elevations at random, before two baffles."""
     rng = np.random.default_rng(0)
-    scene = scene_of(
-        Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1)),
-        size=(0.8, 0.6, 0.8),
-        cell=0.1,
-        baffles=(
-            Baffle(lower=(0.5, 0.0, 0.1), size=(0.1, 0.3, 0.2)),
-            Baffle(lower=(0.2, 0.0, 0.6), size=(0.05, 0.4, 0.1), turned_deg=30.0),
-        ),
-        slope_deg=20.0,
-        baffle_friction=0.3,
-    )
+    block = Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1))
+    straight = Baffle(lower=(0.5, 0.0, 0.1), size=(0.1, 0.3, 0.2))
+    askew = Baffle(lower=(0.2, 0.0, 0.6), size=(0.05, 0.4, 0.1), turned_deg=30.0)
+    around = {"baffles": (straight, askew), "slope_deg": 20.0, "baffle_friction": 0.3}
+    scene = scene_of(block, size=(0.8, 0.6, 0.8), cell=0.1, **around)
 
     def some(*shape: int) -> torch.Tensor:
         return torch.from_numpy(rng.random(shape, np.float32))
@@ -310,9 +295,7 @@ def work(number: int, port: str, simulator: Simulator, parts: list[list[SampleBa
         torch.save(gradients(simulator, parts[rank()]), out / f"{rank()}.pt")
 
 
-def test_two_processes_give_the_mean_of_their_gradients(
-    lively: Simulator, settings: ModelSettings, dataset: Path, tmp_path: Path
-) -> None:
+def test_two_processes_give_the_mean(lively: Simulator, settings: ModelSettings, dataset: Path, tmp_path: Path) -> None:
     simulator, rng = lively.double(), np.random.default_rng(0)
     flows = flows_of(dataset, "train", settings)
     samples = [stretch(flow, settings, now=t, steps=STEPS, rng=rng) for flow, t in zip(flows, (0, 5, 9), strict=False)]

@@ -1,4 +1,4 @@
-"""The pages: finished work is held, each of few runs is written, one of a GPU needs one."""
+"""The pages: each of few runs is written, one of a GPU needs one."""
 
 import math
 import shutil
@@ -10,7 +10,6 @@ import pytest
 
 from datasets import Scene
 from datasets.errors import WorkFailed
-from datasets.lock import locked
 from tests.refusals import refused
 from validation.bench import gns as bench_gns
 from validation.bench import speed
@@ -18,18 +17,6 @@ from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
 from validation.bench.mountain import sliding_point, written_scene
 from validation.bench.speed import feature_row, featured
-from validation.run_store import kept
-
-
-def test_finished_work_is_held_and_goes_with_a_temporary_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with kept(None) as folder:
-        assert folder.is_dir()
-    assert not folder.exists()
-    with locked(tmp_path / "keep"):
-        assert main(["accuracy", "--out", str(tmp_path), "--keep", str(tmp_path / "keep")]) == 1
-    assert "writes here since" in capsys.readouterr().err
 
 
 def test_a_point_that_slides_loses_what_the_bed_turns() -> None:

@@ -31,9 +31,7 @@ def test_truths_are_drawn_from_the_prior(mpm: FakeMpm) -> None:
     assert max(truths) > 50.0
     assert np.mean(truths) == pytest.approx(32.0, abs=2.5)
     assert drawn_twins[3].observations[0].noise == 0.01
-    assert (
-        len({problem.scene.seed for problem in drawn_twins} | {problem.target.seed for problem in drawn_twins}) == 400
-    )
+    assert len({seed for problem in drawn_twins for seed in (problem.scene.seed, problem.target.seed)}) == 400
 
 
 def test_where_a_twin_has_its_truth(mpm: FakeMpm) -> None:

@@ -117,9 +117,7 @@ def test_sand_at_rest_passes(scene: Scene) -> None:
         (invariants.volume, lambda flow: changed(flow, "positions", -1, 0.9 * flow.positions[-1])),
     ],
 )
-def test_what_is_wrong_is_found(
-    check: Callable[[Trajectory], Finding], wrong: Callable[[Trajectory], Trajectory]
-) -> None:
+def test_faults_are_found(check: Callable[[Trajectory], Finding], wrong: Callable[[Trajectory], Trajectory]) -> None:
     good = at_rest(scene_of(baffles=(BAFFLE,)))
     assert check is invariants.slope or check(good).ok
     assert not check(wrong(good)).ok

@@ -53,7 +53,7 @@ class Known:
     def __init__(self, problem: DesignProblem) -> None:
         self.problem, self.rng = problem, np.random.default_rng(problem.budget.seed + 100)
 
-    def __call__(self, points: Matrix, first: int) -> Row:
+    def __call__(self, points: Matrix, first: int = 0) -> Row:
         one, other, angle = self.problem.box.at(points).T
         scatter = self.rng.normal(scale=SCATTER, size=len(points))
         return np.asarray(0.9 - one - 1.5 * other - 0.01 * (angle - 30.0) + scatter)
@@ -184,8 +184,7 @@ def test_a_limit_is_on_the_map_where_the_box_is() -> None:
     there = replace(SCENE, domain=replace(SCENE.domain, origin=(5000.0, 100.0)))
     problem = problem_of(scene=there, limit=Limit(quantity="front", below=5000.7))
     response = Known(problem)
-    found = designed(problem, lambda points, first: 5000.0 + response(points, first))
-    assert found.verdict is Verdict.CONFIRMED
+    assert designed(problem, lambda *given: 5000.0 + response(*given)).verdict is Verdict.CONFIRMED
     said = "limit.below: expected a number in (5000, 5001), an x on the map, as the origin of the box, got 0.7"
     refused(problem_of, scene=there, said=said)
 
@@ -271,8 +270,7 @@ def test_a_design_for_an_impact_force_and_again_from_its_runs(file: Path) -> Non
 @pytest.mark.parametrize("seed", range(3))
 def test_the_race_finds_the_cheapest_design_of_a_known_response(seed: int) -> None:
     problem = problem_of(budget=Budget(checks=40, seed=seed))
-    response = Known(problem)
-    race = Race(problem, lambda points: response(points, 0))
+    race = Race(problem, Known(problem))
     race.run(10_000)
     best = race.problem.named(race.best.design)
     strength = best["baffles[0].height"] + 1.5 * best["baffles[1].height"]
@@ -288,7 +286,7 @@ def test_errors_of_the_predictor_are_those_of_the_design() -> None:
     response, rng = Known(problem), np.random.default_rng(0)
 
     def predict(points: Matrix) -> Row:
-        return response(points, 0) - 0.06 + rng.normal(scale=0.01, size=len(points))
+        return response(points) - 0.06 + rng.normal(scale=0.01, size=len(points))
 
     result = raced(problem, predict, response)
     assert result.verdict is Verdict.CONFIRMED
@@ -310,14 +308,13 @@ def test_batches_and_processes_predict_what_single_flows_do() -> None:
 def test_no_design_that_is_predicted_keeps_the_limit() -> None:
     problem = problem_of(limit=Limit(quantity="front", below=0.2), budget=Budget(checks=20, predictions=2000))
     response = Known(problem)
-    assert raced(problem, lambda points: response(points, 0), response).verdict is Verdict.UNREACHABLE
+    assert raced(problem, response, response).verdict is Verdict.UNREACHABLE
 
 
 @pytest.mark.slow
 def test_a_design_by_the_mpm_on_larger_cells(tmp_path: Path) -> None:
-    problem = problem_of(
-        surrogate="coarse", limit=Limit(quantity="front", below=0.75), budget=Budget(checks=20, predictions=1000)
-    )
+    limit, budget = Limit(quantity="front", below=0.75), Budget(checks=20, predictions=1000)
+    problem = problem_of(surrogate="coarse", limit=limit, budget=budget)
     result = find_design(problem, tmp_path)
     written = json.loads((tmp_path / "design.json").read_text())
     assert written["predictions"] >= 1000

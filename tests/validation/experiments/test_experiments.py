@@ -13,16 +13,7 @@ from datasets.scene.particles import initial_particles, particle_count
 from tests.refusals import refused
 from tests.scenes import flow_of, scene_of
 from validation.bench.experiments import compute, crossing, forecast, section
-from validation.experiments.experiment import (
-    Experiment,
-    Measured,
-    Quantity,
-    Reading,
-    edge,
-    quantity,
-    read_experiment,
-    read_experiments,
-)
+from validation.experiments.experiment import Experiment, Measured, Quantity, Reading, edge, quantity, read_experiments
 from validation.run_store import Run
 
 SHIPPED = read_experiments()
@@ -38,12 +29,7 @@ angles = [
   { name = "repose", lower_deg = 20.0, upper_deg = 20.0, status = "worked out", source = "this test" },
 ]
 assumptions = [{ what = "everything", choice = "nothing", reason = "a test" }]
-[grains]
-friction_growth = 0.26
-inertial_number = 0.3
-grain_diameter = 0.001
-grain_density = 2400.0
-source = "this test"
+grains = { friction_growth = 0.26, inertial_number = 0.3, grain_diameter = 0.001, grain_density = 2400.0, source = "" }
 [[cases]]
 name = "wedge"
 scene = "wedge.toml"
@@ -51,10 +37,8 @@ scene = "wedge.toml"
 quantity = "front"
 value = 0.52
 spread = 0.005
-spread_from = "this test"
 status = "read"
 source = "this test"
-explanation = "The wedge is imaginary."
 """
 
 PARTICLES = 2000
@@ -125,7 +109,7 @@ def test_a_wrong_experiment_is_refused_by_file_and_key(shelf: Path, old: str, ne
     path = shelf / "wedge" / "experiment.toml"
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new, 1))
-    error = refused(read_experiment, path.parent)
+    error = refused(read_experiments, shelf)
     assert error.where == str(path)
     assert key in error.key
 

@@ -3,8 +3,8 @@
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
@@ -53,15 +53,6 @@ def posterior(folder: Path, names: Sequence[str] = ("friction_deg",), verdict: s
     return folder
 
 
-def by(flows: Slabs, threshold: float | None = None) -> RunStore:
-    """A store that keeps nothing."""
-
-    def store(scenes: Sequence[Scene], *, record: object = LAST) -> list[Trajectory]:
-        return [with_peaks(flow, threshold) for flow in flows(scenes, record=record)]
-
-    return cast("RunStore", store)
-
-
 def test_an_interval_holds_further_flows_as_often_as_it_says() -> None:
     """Of 80 twins: one draw of the posterior is the truth of each, whose flow has a scatter of its own."""
     rng, flows = np.random.default_rng(0), Slabs()
@@ -69,7 +60,7 @@ def test_an_interval_holds_further_flows_as_often_as_it_says() -> None:
     samples, held = rng.normal(MEAN, DEVIATION, size=(2000, 1)), {"interval": 0, "half": 0}
     for twin in range(80):
         scene = replace(coarse, seed=twin)
-        forecast = predicted(scene, ["friction_deg"], samples, by(flows), draws=40)
+        forecast = predicted(scene, ["friction_deg"], samples, flows, draws=40)
         truth = replace(scene.with_friction_deg(float(rng.choice(samples[:, 0]))), seed=int(rng.integers(2**31)))
         x = float(flows.flow(truth).positions[-1, 0, 0])
         # The error of the cells is none of this flow's.
@@ -85,7 +76,7 @@ def test_an_interval_holds_further_flows_as_often_as_it_says() -> None:
 def test_the_error_of_the_cells_and_of_the_model_widen_an_interval() -> None:
     """Normal errors of posterior, scatter, cells and model, whose variances add."""
     samples = np.random.default_rng(0).normal(MEAN, DEVIATION, size=(4000, 1))
-    forecast = predicted(SCENE, ["friction_deg"], samples, by(Slabs()), draws=1000, model_error=0.05)
+    forecast = predicted(SCENE, ["friction_deg"], samples, Slabs(), draws=1000, model_error=0.05)
     spread = np.sqrt((0.01 * DEVIATION) ** 2 + SCATTER**2 + forecast.cells["front"] ** 2 + (0.05 * (0.6 - 0.2)) ** 2)
     low, high = forecast.as_json()["numbers"]["front"]["interval"]
     assert high - low == pytest.approx(2.0 * norm.ppf(0.975) * spread, rel=0.1)
@@ -110,10 +101,11 @@ def test_files_and_what_a_scene_has_not(tmp_path: Path) -> None:
 
 def test_maps_of_probability(tmp_path: Path) -> None:
     """A cell between two places is covered by the flows of the larger angles alone."""
-    flows, names = Slabs(scatter=0.0), ["friction_deg"]
+    flows = Slabs(scatter=0.0)
     scene = replace(room(Mass(lower=(0.0, 0.0, 0.3), size=(0.2, 0.1, 0.2))), floor_friction=0.4)
     samples = np.repeat([20.0, 40.0], 500)[:, None]
-    forecast = predicted(scene, names, samples, by(flows, 1.0e-4), draws=10, threshold=1.0e-4)
+    store = RunStore(tmp_path / "mpm", flows, reduce=partial(with_peaks, threshold=1.0e-4))
+    forecast = predicted(scene, ["friction_deg"], samples, store, draws=10, threshold=1.0e-4)
     thickness = forecast.covered["thickness"]
     assert thickness[(np.array([0.5, 0.7]) / 0.04).astype(int), 10] == pytest.approx(0.5)
     assert thickness[5, 10] == 0.0

@@ -28,8 +28,8 @@ from validation.loop.task import Task
 
 PARTICLES = 600
 # Quantiles of a wedge: the deposit thins out towards its front.
-SHAPE = 1.0 - np.sqrt(1.0 - (np.arange(PARTICLES) + 0.5) / PARTICLES)
-FRONT = front(SHAPE[:, None])
+SHAPE = 1.0 - torch.sqrt(1.0 - (torch.arange(PARTICLES).double() + 0.5) / PARTICLES)
+FRONT = front(SHAPE.numpy()[:, None])
 WIDTH = 4.0  # of the bounds of each velocity [m/s]
 
 
@@ -38,20 +38,9 @@ def length(friction_deg: Any) -> Any:
     return 1.0 - 0.02 * (friction_deg - 12.0) + 0.5 * 0.0003 * (friction_deg - 12.0) ** 2
 
 
-def scatter_of(seed: int, angle: float) -> float:
-    """That of `FakeMpm` at a friction angle [deg] by the jitter seed, in standard deviations."""
-    return float(np.random.default_rng([seed, round(angle * 1e6)]).normal())
-
-
-def at_rest(x: NDArray[np.float64], scene: Scene) -> Trajectory:
-    """A flow of `scene` whose particles are at `x` [m], shape [N], all the time."""
-    positions, time = [np.stack([x, 0.1 * np.ones(len(x))], axis=1)] * 2, np.array([0.0, scene.duration])
-    return flow_of(scene, positions, time=time, summary={"remarks": ["the sand still moves"]})
-
-
 @dataclass
 class FakeMpm:
-    """Deposits by the formula, with a scatter that depends on the jitter seed."""
+    """Deposits by the formula of the masses' mean angle, with a scatter that depends on the jitter seed."""
 
     scatter: float = 0.0  # [m]
     uneven: float = 1.0  # the scatter above 30 degrees over that below
@@ -71,30 +60,33 @@ class FakeMpm:
         if len(self.scenes) >= self.killed_after:
             raise KeyboardInterrupt
         self.scenes.append(scene)
-        return at_rest(self.x(scene), scene)
+        x, time = self.x(scene), np.array([0.0, scene.duration])
+        positions = [np.stack([x, 0.1 * np.ones(len(x))], axis=1)] * 2
+        return flow_of(scene, positions, time=time, summary={"remarks": ["the sand still moves"]})
 
     def x(self, scene: Scene) -> NDArray[np.float64]:
-        angle, share = scene.material.friction_deg, 1.0 - self.shortened * scene.domain.cell
+        angle = float(np.mean([scene.material_of(mass).friction_deg for mass in scene.masses]))
         scatter = self.scatter * (self.uneven if angle > 30.0 else 1.0)
-        return np.asarray((length(angle) + scatter_of(scene.seed, angle) * scatter) * share * SHAPE)
+        scatter *= np.random.default_rng([scene.seed, round(angle * 1e6)]).normal()
+        shape, share = self.shape(angle).numpy(), 1.0 - self.shortened * scene.domain.cell
+        return np.asarray((self.length(angle) + scatter) * share * shape)
+
+    def length(self, angle: Any) -> Any:
+        return length(angle)
+
+    def shape(self, angle: Any) -> Tensor:
+        """Of a deposit of unit length, shape [N]."""
+        return SHAPE
 
 
 class Folded(FakeMpm):
     """Deposits as long at two angles, on either side of 30 degrees, but thinner in the middle at one of them."""
 
-    def x(self, scene: Scene) -> NDArray[np.float64]:
-        off = (scene.material.friction_deg - 30.0) / 20.0
-        scatter = np.random.default_rng(scene.seed).normal() * self.scatter
-        return np.asarray((1.0 - 0.5 * off**2 + scatter) * SHAPE ** (1.0 + 0.2 * off))
+    def length(self, angle: Any) -> Any:
+        return 1.0 - 0.5 * ((angle - 30.0) / 20.0) ** 2
 
-
-class TwinAngles(FakeMpm):
-    """Deposits that depend on the sum of two angles alone."""
-
-    def x(self, scene: Scene) -> NDArray[np.float64]:
-        angles = [scene.material_of(mass).friction_deg for mass in scene.masses]
-        scatter = np.random.default_rng([scene.seed, round(1e6 * sum(angles))]).normal() * self.scatter
-        return np.asarray((length(0.5 * sum(angles)) + scatter) * SHAPE)
+    def shape(self, angle: Any) -> Tensor:
+        return SHAPE ** (1.0 + 0.2 * (angle - 30.0) / 20.0)
 
 
 @dataclass
@@ -113,31 +105,28 @@ class Layers(FakeMpm):
         self.push = 0.05 * np.exp(-(((index[:, None] - centres) * self.count / 1.5) ** 2))
         self.waves = np.random.default_rng(5).normal(size=(12, self.particles)) / np.sqrt(12.0)
 
-    def moved(self, velocities: Vector) -> NDArray[np.float64]:
-        return np.asarray(self.x0 + self.push @ velocities + self.bend * self.push @ velocities**2)
-
     def x(self, scene: Scene) -> NDArray[np.float64]:
         velocities = np.array([mass.velocity[0] if mass.velocity else 0.0 for mass in scene.masses])
         waves = np.random.default_rng(scene.seed).normal(size=12) @ self.waves
-        return np.asarray(self.moved(velocities) + self.scatter * waves)
+        return np.asarray(self.x0 + self.push @ (velocities + self.bend * velocities**2) + self.scatter * waves)
 
 
 @dataclass(frozen=True)
 class Formula:
-    """A surrogate by a formula: as long as `FakeMpm`'s deposits, or `factor` times as long."""
+    """A surrogate by a formula: deposits `factor` times as long as the MPM's."""
 
     observation: Observation
+    mpm: Any
     factor: float = 1.0
     band: float = 0.05  # of its length, of 95 of 100 deposits
 
     def x(self, angle: Tensor) -> Tensor:
         """Of the particles [m], shape [N]."""
-        places: Tensor = length(angle) * torch.from_numpy(SHAPE)
-        return places
+        return self.factor * self.mpm.length(angle) * self.mpm.shape(angle)
 
     def predict(self, parameters: Tensor, /) -> Tensor:
         """Shape [S, m]."""
-        return torch.stack([self.observed(self.factor * self.x(point[0])) for point in parameters])
+        return torch.stack([self.observed(self.x(point[0])) for point in parameters])
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """Shape [m] each."""
@@ -153,23 +142,12 @@ class Formula:
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
         """The change by a stretch of its deposit, shape [1, m]."""
-        x = self.factor * self.x(torch.from_numpy(parameters)[0])
+        x = self.x(torch.from_numpy(parameters)[0])
         return (self.observed((1.0 + self.band / 1.96) * x) - self.observed(x)).numpy()[None]
 
 
-class FoldedFormula(Formula):
-    """As `Folded`."""
-
-    def x(self, angle: Tensor) -> Tensor:
-        off = (angle - 30.0) / 20.0
-        return (1.0 - 0.5 * off**2) * torch.from_numpy(SHAPE) ** (1.0 + 0.2 * off)
-
-
-@dataclass(frozen=True)
 class LayersFormula(Formula):
     """As `Layers`, displacements `factor` times as large."""
-
-    mpm: Layers = field(default_factory=Layers)
 
     def predict(self, parameters: Tensor, /) -> Tensor:
         x0, push = torch.from_numpy(self.mpm.x0), torch.from_numpy(self.mpm.push)
@@ -193,13 +171,21 @@ class Case:
     mpm: FakeMpm
     surrogate: Any = None
 
+    @classmethod
+    def of(cls, problem: Problem, mpm: FakeMpm) -> "Case":
+        """The problem with the target that `mpm` makes, before any other run of it."""
+        target = read_target(problem, mpm.run)
+        mpm.scenes.clear()
+        return cls(problem=problem, target=target, mpm=mpm)
+
     def task(self, out: Path) -> Task:
         return Task(problem=self.problem, target=self.target, folder=out / "mpm", simulate=self.mpm)
 
-    def led(self, surrogate: Formula) -> "Case":
-        """The same where this surrogate is asked."""
-        asked = replace(self.problem, surrogate=Surrogate.GNS)
-        return replace(self, problem=asked, surrogate=surrogate)
+    def led(self, factor: float, **band: float) -> "Case":
+        """The same where a surrogate of this factor is asked."""
+        formula = LayersFormula if isinstance(self.mpm, Layers) else Formula
+        asked = formula(self.target.observation, self.mpm, factor, **band)
+        return replace(self, problem=replace(self.problem, surrogate=Surrogate.GNS), surrogate=asked)
 
     def solve(self, out: Path) -> Result:
         learned = self.surrogate, "it was not trained on it"
@@ -229,11 +215,9 @@ def wedge(
         parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
         observations=(KINDS[kind](**measured),),
         target=TargetSettings() if stated else twin,
+        surrogate=Surrogate.NONE,
     )
-    mpm = mpm or FakeMpm(scatter=scatter)
-    read = read_target(problem, mpm.run)
-    mpm.scenes.clear()
-    return Case(problem=problem, target=read, mpm=mpm)
+    return Case.of(problem, mpm or FakeMpm(scatter=scatter))
 
 
 def layers(folder: Path, *, count: int = 2, scatter: float = 0.0, bend: float = 0.0, seed: int = 3) -> Case:
@@ -250,7 +234,4 @@ def layers(folder: Path, *, count: int = 2, scatter: float = 0.0, bend: float = 
         observations=(DepositSettings(),),
         target=TargetSettings(twin=True, seed=seed, truth=truth),
     )
-    mpm = Layers(count=count, particles=particle_count(scene), scatter=scatter, bend=bend)
-    read = read_target(problem, mpm.run)
-    mpm.scenes.clear()
-    return Case(problem=problem, target=read, mpm=mpm)
+    return Case.of(problem, Layers(count=count, particles=particle_count(scene), scatter=scatter, bend=bend))

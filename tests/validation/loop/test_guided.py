@@ -20,17 +20,7 @@ from inverse.settings import LoopSettings, Surrogate
 from inverse.target import read_target
 from tests.inverse.flows import simulator_of
 from tests.refusals import refused
-from tests.validation.loop.flows import (
-    Case,
-    FakeMpm,
-    Folded,
-    FoldedFormula,
-    Formula,
-    LayersFormula,
-    layers,
-    length,
-    wedge,
-)
+from tests.validation.loop.flows import Case, FakeMpm, Folded, Formula, layers, length, wedge
 from validation.loop import surrogate
 from validation.loop.solve import run
 from validation.loop.surrogate import choose, learned
@@ -41,7 +31,7 @@ from validation.loop.verdict import judged, nearer
 @pytest.mark.parametrize(("kind", "factor"), [("front", 1.03), ("profile", 0.97)])
 def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, kind: str, factor: float) -> None:
     case = wedge(tmp_path, truth=24.0, kind=kind, scatter=0.002)
-    result = case.led(Formula(case.target.observation, factor)).solve(tmp_path / "out")
+    result = case.led(factor).solve(tmp_path / "out")
     assert result.verdict is Verdict.CONFIRMED
     assert len(result.mpm_runs) <= 10
     predicted, width = (result.surrogate[key]["friction_deg"] for key in ("unknowns", "half_widths"))
@@ -59,11 +49,9 @@ def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, 
 @pytest.mark.parametrize(
     ("truth", "factor"), [(27.0, 0.8), pytest.param(27.0, 1.2, marks=pytest.mark.slow), (12.5, 0.97)]
 )
-def test_a_surrogate_that_errs_by_more_than_its_band_or_ends_on_a_bound_costs_runs_and_no_truth(
-    tmp_path: Path, truth: float, factor: float
-) -> None:
+def test_a_surrogate_beyond_its_band_or_on_a_bound_costs_no_truth(tmp_path: Path, truth: float, factor: float) -> None:
     case = wedge(tmp_path, truth=truth, scatter=0.002)
-    result = case.led(Formula(case.target.observation, factor)).solve(tmp_path)
+    result = case.led(factor).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
     assert abs(result.unknowns["friction_deg"] - truth) < 2.0 * result.certainty["friction_deg"] < 2.0
     assert len(result.mpm_runs) <= 30
@@ -72,11 +60,9 @@ def test_a_surrogate_that_errs_by_more_than_its_band_or_ends_on_a_bound_costs_ru
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("factor", "band"), [(1.03, 0.05), (0.85, 0.02)])
-def test_many_parameters_take_few_runs_and_more_than_the_band_hides_none(
-    tmp_path: Path, factor: float, band: float
-) -> None:
+def test_many_parameters_take_few_runs_and_lose_no_truth(tmp_path: Path, factor: float, band: float) -> None:
     case = layers(tmp_path, count=7, scatter=0.001, bend=0.05)
-    result = case.led(LayersFormula(case.target.observation, factor, band=band, mpm=case.mpm)).solve(tmp_path)
+    result = case.led(factor, band=band).solve(tmp_path)
     assert result.verdict in (Verdict.CONFIRMED, Verdict.AMBIGUOUS)
     assert len(result.mpm_runs) <= 26
     assert len(result.inside) >= 6
@@ -84,7 +70,7 @@ def test_many_parameters_take_few_runs_and_more_than_the_band_hides_none(
 
 def test_each_of_two_answers_is_checked(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=22.0, mpm=Folded(scatter=0.002))
-    result = case.led(FoldedFormula(case.target.observation, 1.02)).solve(tmp_path)
+    result = case.led(1.02).solve(tmp_path)
     assert result.verdict is Verdict.AMBIGUOUS
     angles = sorted(float(answer.parameters[0]) for answer in result.answers)
     assert angles == pytest.approx([22.0, 38.0], abs=1.0)
@@ -141,9 +127,7 @@ WALL = Solid(lower=(0.8, 0.0), size=(0.05, 0.1), friction=0.4)
         ({"open_sides": ("x+",)}, None, "expected a closed box"),
     ],
 )
-def test_whether_it_knows_the_flow_follows_from_the_problem(
-    model: Path, changes: dict[str, Any], unknown: str | None, expected: str | None
-) -> None:
+def test_which_flows_it_knows(model: Path, changes: dict[str, Any], unknown: str | None, expected: str | None) -> None:
     shipped = read_problem("friction-tall-42")
     problem = replace(
         shipped,
@@ -175,7 +159,7 @@ def task(case: Case, out: Path, surrogate: Surrogate) -> Task:
 
 def test_a_surrogate_is_asked_where_a_run_of_the_mpm_is_dear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case = wedge(tmp_path)
-    monkeypatch.setattr(surrogate, "learned", lambda *_: (Formula(case.target.observation), ""))
+    monkeypatch.setattr(surrogate, "learned", lambda *_: (Formula(case.target.observation, case.mpm), ""))
     auto, asked = (task(case, tmp_path, kind) for kind in (Surrogate.AUTO, Surrogate.GNS))
     chosen, reason = choose(auto)
     assert chosen is None

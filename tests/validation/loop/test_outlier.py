@@ -103,9 +103,7 @@ SLOW = [pytest.param(*each, marks=pytest.mark.slow) for each in ((0.03, 1), (0.0
 
 
 @pytest.mark.parametrize(("off", "unknowns"), [*SLOW, (0.15, 1)])
-def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
-    tmp_path: Path, off: float, unknowns: int
-) -> None:
+def test_an_outlier_widens_the_interval_by_birge_s_ratio(tmp_path: Path, off: float, unknowns: int) -> None:
     """With two unknowns and + 150 mm the least squares are at (1.705, 0.481), the median at (1.729, 0.500)."""
     values = RIGHT + off * (TIMES == 0.30)
     result = solved(problem_of(tmp_path, values, NAMES[:unknowns]), tmp_path)
@@ -135,9 +133,8 @@ def test_what_no_run_changes_says_nothing(tmp_path: Path) -> None:
     """No block gets as far as the line: alone that leaves the prior, beside a front it takes nothing away."""
     problem = problem_of(tmp_path, RIGHT, NAMES[:1])
     beyond = PassedSettings(value=0.0, line=1.8, noise=0.01)
-    both = solved(
-        replace(problem, observations=(FrontSettings(value=RIGHT[-1], noise=NOISE), beyond)), tmp_path / "both"
-    )
+    front = FrontSettings(value=RIGHT[-1], noise=NOISE)
+    both = solved(replace(problem, observations=(front, beyond)), tmp_path / "both")
     assert both.verdict is Verdict.CONFIRMED
     assert both.answer[0] == pytest.approx(SPEED, abs=0.02)
     alone = solved(replace(problem, observations=(beyond,)), tmp_path / "alone")

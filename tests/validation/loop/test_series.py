@@ -10,7 +10,6 @@ import pytest
 from datasets.files import write_json
 from inverse.adaptation import PROBLEM, identity
 from inverse.problem import Problem
-from inverse.settings import Surrogate
 from mpm import LAST
 from tests.refusals import refused
 from tests.validation.loop.flows import FakeMpm, wedge
@@ -27,7 +26,7 @@ def mpm() -> FakeMpm:
 @pytest.fixture
 def problem(tmp_path: Path) -> Problem:
     """The friction angle of a wedge by its front, without a surrogate."""
-    return replace(wedge(tmp_path).problem, surrogate=Surrogate.NONE)
+    return wedge(tmp_path).problem
 
 
 @pytest.fixture
@@ -50,9 +49,7 @@ def adapted(problem: Problem, tmp_path: Path) -> Path:
     return folder
 
 
-def test_deposits_share_the_runs_of_the_mpm(
-    problem: Problem, targets: Path, adapted: Path, mpm: FakeMpm, tmp_path: Path
-) -> None:
+def test_deposits_share_runs(problem: Problem, targets: Path, adapted: Path, mpm: FakeMpm, tmp_path: Path) -> None:
     out = tmp_path / "series"
     rows = solve_series(problem, targets, out, model=adapted, simulate=mpm)
     assert [row["deposit"] for row in rows] == list(TRUTHS)
@@ -94,8 +91,7 @@ def test_a_wrong_file_is_named_before_any_work(
 
 
 def test_profiles_in_csv(targets: Path, mpm: FakeMpm, tmp_path: Path) -> None:
-    case = wedge(tmp_path, kind="profile", truth=24.0, noise=0.005)
-    problem = replace(case.problem, surrogate=Surrogate.NONE)
+    problem = wedge(tmp_path, kind="profile", truth=24.0, noise=0.005).problem
     x = np.linspace(0.0, 1.2, 61)
     heights = 0.2 * np.maximum(1.0 - x / 0.6, 0.0)
     folder = tmp_path / "profiles"

@@ -23,10 +23,9 @@ from inverse.answer import Purpose, Verdict
 from inverse.observations import FrontSettings, PassedSettings, ProfileSettings
 from inverse.posterior.settings import CONSTANTS
 from inverse.search.inference import begun, narrowed
-from inverse.settings import Surrogate
 from tests.inverse.test_fields import files
 from tests.scenes import scene_of
-from tests.validation.loop.flows import FRONT, WIDTH, Case, FakeMpm, Folded, Formula, TwinAngles, layers, length, wedge
+from tests.validation.loop.flows import FRONT, WIDTH, Case, FakeMpm, Folded, layers, length, wedge
 from validation.loop import verdict
 from validation.loop.solve import print_outcome, solve
 
@@ -42,9 +41,7 @@ def test_the_truth_is_found_through_the_scatter_of_the_mpm(tmp_path: Path, kind:
     assert abs(result.unknowns["friction_deg"] - truth) < 2.0 * result.certainty["friction_deg"]
 
 
-def test_an_answer_that_moves_after_every_check_is_checked_twice(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_that_moves_at_every_check_is_checked_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verdict, "CLOSE", -1.0)
     result = wedge(tmp_path, scatter=0.002).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
@@ -102,7 +99,7 @@ def test_a_bound_is_the_reason_of_many_numbers_too(tmp_path: Path) -> None:
     """By the factor of their misfit the interval is wider, and its median is no longer at the bound."""
     case = wedge(tmp_path, value=length(5.0), scatter=0.001)
     fronts = tuple(FrontSettings(value=value, noise=0.004) for value in np.linspace(0.98, 1.02, 6) * length(5.0))
-    problem = replace(case.problem, observations=fronts, surrogate=Surrogate.NONE)
+    problem = replace(case.problem, observations=fronts)
     result = solve(problem, tmp_path, simulate=case.mpm)
     assert result.verdict is Verdict.UNREACHABLE
     assert result.answers[0].fit.applied > 2.0
@@ -113,12 +110,9 @@ def test_a_bound_is_the_reason_of_many_numbers_too(tmp_path: Path) -> None:
     ("cells", "said"), [(0.0014, ""), (0.004, "cells of 0.0025 m (64 times the work)"), (1.0, "falls with the cell")]
 )
 def test_finer_cells_are_advised_where_they_help(cells: float, said: str) -> None:
-    fit: Any = SimpleNamespace(noise=0.001, cells=cells)
-    scene = SimpleNamespace(domain=SimpleNamespace(cell=0.01), dimension=2)
+    fit, problem = SimpleNamespace(noise=0.001, cells=cells), SimpleNamespace(scene=scene_of(cell=0.01))
     answer = SimpleNamespace(fit=fit, checks=[SimpleNamespace(seconds=0.0)])
-    result: Any = SimpleNamespace(
-        answers=[answer], problem=SimpleNamespace(scene=scene), target=SimpleNamespace(cell=None)
-    )
+    result: Any = SimpleNamespace(answers=[answer], problem=problem, target=SimpleNamespace(cell=None))
     text = report.finer(result)
     assert said in text
     assert bool(said) == bool(text)
@@ -227,9 +221,7 @@ def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> 
     ("thickness", "factors"),
     [(0.1, (2.0,)), (0.05, (0.5, 2.0)), (((0.001, 0.3), (0.0, 0.2)), (2.0,)), (((0.05, 0.09), (0.0, 0.0)), (0.5, 2.0))],
 )
-def test_the_error_of_the_cells_of_a_thin_layer_is_seen_on_smaller_ones(
-    thickness: Any, factors: tuple[float, ...]
-) -> None:
+def test_the_error_of_the_cells_of_a_thin_layer_needs_smaller_ones(thickness: Any, factors: tuple[float, ...]) -> None:
     """Of one of less than two cells of 0.05 m, in the mean of where there is any."""
     grid = {} if isinstance(thickness, float) else {"origin": (0.25, 0.25), "spacing": (0.5, 0.5)}
     scene = scene_of(Mass(kind="layer", thickness=thickness, **grid), size=(1.0, 1.0, 1.0), cell=0.05)
@@ -267,17 +259,11 @@ def test_fields_are_left_to_the_adjoint(tmp_path: Path, monkeypatch: pytest.Monk
     assert [unknown.settings.name for unknown in asked[0].fields] == ["velocity_x"]
 
 
-JOINT = (
-    FrontSettings(noise="1%"),
-    ProfileSettings(noise="3%"),
-    PassedSettings(line=0.4, noise=0.01),
-    FrontSettings(times=(0.5, 1.0), noise=0.005),
-)
-
-
 def test_joint_observations_find_it_together(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=24.0, scatter=0.002)
-    problem = replace(case.problem, observations=JOINT, surrogate=Surrogate.NONE)
+    of_deposit = FrontSettings(noise="1%"), ProfileSettings(noise="3%"), PassedSettings(line=0.4, noise=0.01)
+    observed = (*of_deposit, FrontSettings(times=(0.5, 1.0), noise=0.005))
+    problem = replace(case.problem, observations=observed)
     result = solve(problem, tmp_path, simulate=case.mpm)
     assert result.verdict is Verdict.CONFIRMED
     assert abs(result.unknowns["friction_deg"] - 24.0) <= result.certainty["friction_deg"] < 2.0
@@ -298,9 +284,8 @@ def test_a_ridge_of_answers_is_one_ambiguous_answer(tmp_path: Path) -> None:
         scene=replace(one.scene, masses=masses),
         parameters=tuple(Parameter(name=name, initial=30.0, lower=12.0, upper=52.0) for name in names),
         target=TargetSettings(twin=True, seed=7, truth=dict.fromkeys(names, 25.0)),
-        surrogate=Surrogate.NONE,
     )
-    result = solve(problem, tmp_path, simulate=TwinAngles(scatter=0.001))
+    result = solve(problem, tmp_path, simulate=FakeMpm(scatter=0.001))
     assert result.verdict is Verdict.AMBIGUOUS
     assert min(result.certainty.values()) > 8.0
     assert sum(result.unknowns.values()) == pytest.approx(50.0, abs=1.5)
@@ -347,7 +332,7 @@ def test_a_prior_counts_as_much_as_a_measurement(tmp_path: Path) -> None:
 @pytest.mark.parametrize("mean", [24.0, 40.0])
 def test_a_surrogate_leads_with_a_prior_that_may_contradict_the_deposit(tmp_path: Path, mean: float) -> None:
     case = case_of(tmp_path, Prior(kind="normal", mean=mean, deviation=2.0))
-    result = case.led(Formula(case.target.observation, 1.02)).solve(tmp_path)
+    result = case.led(1.02).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
     assert abs(result.unknowns["friction_deg"] - 27.0) < 2.0 * result.certainty["friction_deg"] < 2.5
 

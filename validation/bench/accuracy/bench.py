@@ -30,8 +30,6 @@ TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)  # the page shows th
 TRIED = (0.2, 0.1, 0.05)  # tolerances tried on scenes that were not measured
 REFERENCE = {2: 56.0, 3: 48.0}  # cells of their references across the smallest side, by dimension
 SEED = 7  # of the trials: different from the measured ones
-
-
 SHIPPED = {2: (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), 3: (5.0, 7.0, 10.0, 14.0, 18.0, 24.0)}
 """Cells across the smallest side with which `mpm/resolution.toml` is measured, by dimension, like the following."""
 CHECKED = {2: (7.0, 14.0), 3: (5.0,)}  # cells at which another step, 0.4, and 3 particles per axis are tried too
@@ -40,9 +38,7 @@ SHIPPED_REFERENCE, SHIPPED_SEEDS = {2: 80.0, 3: 48.0}, {2: 3, 3: 2}
 
 def error(flow: Trajectory, reference: Trajectory) -> float:
     """The larger of the errors of front and profile of a deposit, over the extent [-]; reference: on a much finer grid.
-
-    The profile's error is `measures.transport_distance`; the extent is from the masses' initial rear to the front.
-    """
+    The profile's error is `measures.transport_distance`; the extent is from the masses' initial rear to the front."""
     deposit, exact = flow.positions[-1], reference.positions[-1]
     front = measures.front(exact, reference.volumes)
     apart = measures.transport_distance(deposit, flow.volumes, exact, reference.volumes)
@@ -111,12 +107,10 @@ def mean_seconds(errors: Mapping[str, Error]) -> float:
 
 
 def prediction_limit(errors: Sequence[float]) -> float:
-    """A bound that the error of one more scene keeps with probability COVERAGE, from errors of the measured scenes.
-
-    The upper prediction limit for one further normal variable (Hahn & Meeker 1991), m + t s sqrt(1 + 1/n) with m and s
-    the mean and standard deviation of n errors and t Student's quantile for n - 1 degrees of freedom; and no less than
-    the largest of them, which a share n / (n + 1) of further scenes stays within whatever the distribution.
-    """
+    """A bound that the error of one more scene keeps with probability COVERAGE, from errors of the measured scenes. The
+    upper prediction limit for one further normal variable (Hahn & Meeker 1991), m + t s sqrt(1 + 1/n) with m and s the
+    mean and standard deviation of n errors and t Student's quantile for n - 1 degrees of freedom; and no less than the
+    largest of them, which a share n / (n + 1) of further scenes stays within whatever the distribution."""
     if (count := len(errors)) < 2:
         return max(errors)
     deviation = float(np.std(errors, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
@@ -125,9 +119,7 @@ def prediction_limit(errors: Sequence[float]) -> float:
 
 def bound(by_resolution: Errors, resolution: Resolution) -> float:
     """`prediction_limit` of the largest error of each scene here and on all finer grids that differ in nothing else.
-
-    Where errors of both signs cancel, one is small by chance; on finer grids it is not.
-    """
+    Where errors of both signs cancel, one is small by chance; on finer grids it is not."""
     names, cells = by_resolution[resolution], resolution.cells
     finer = [grid for grid in by_resolution if grid.cells >= cells and replace(grid, cells=cells) == resolution]
     return prediction_limit([max(max(by_resolution[grid][name].errors) for grid in finer) for name in names])
@@ -178,7 +170,7 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
         if ship:
             every = list[MeasuredResolution]()
             for d, sizes in SHIPPED.items():
-                tried = [own(cells) for cells in sizes]
+                tried = [*map(own, sizes)]
                 for cells in CHECKED[d]:
                     tried += [own(cells, step_fraction=0.4), own(cells, particles_per_axis=3)]
                 scenes, seeds = read_flows(d, unseen=False), range(SHIPPED_SEEDS[d])
@@ -212,9 +204,7 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
         coverage=COVERAGE * 10.0,
         selected=selections,
         references=" and ".join(f"{cells:g} cells in {dimension}D" for dimension, cells in REFERENCE.items()),
-        trials=tables(
-            trial_rows(dimension, by_resolution, limits[dimension]) for dimension, by_resolution in trials.items()
-        ),
+        trials=tables(trial_rows(d, by_resolution, limits[d]) for d, by_resolution in trials.items()),
     )
 
 

@@ -75,9 +75,7 @@ class MeasuredFlow(Record):
                 tension_cutoff=0.5 * self.cohesion * weight,
             ),
             masses=(mass,),
-            baffles=tuple(
-                Baffle(lower=metres(x, 0.0, z), size=metres(long, high, long)) for x, long, high, z in self.baffles
-            ),
+            baffles=tuple(Baffle(lower=metres(x, 0.0, z), size=metres(w, h, w)) for x, w, h, z in self.baffles),
             duration=self.duration * time,
             frame_dt=self.duration * time / FRAMES,
             gravity=GRAVITY,

@@ -17,7 +17,8 @@ from datasets.scene.library import read_scene
 from datasets.schema import Record, from_mapping
 from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
 from mpm.arrays.layout import Precision
-from mpm.resolution import Resolution, with_resolution
+from mpm.resolution import with_resolution
+from validation.bench.accuracy.bench import own
 from validation.bench.accuracy.flows import MeasuredFlow
 from validation.bench.page import Out, Row, emphasised, percent, write_page
 from validation.bench.stability import quantities, slopes
@@ -105,8 +106,7 @@ def verdict(row: HardCase, flow: Trajectory | WorkFailed, other: Trajectory | Wo
         return CheckedCase(row=row, kept=(numbers,))
     invariants = (*ALWAYS, *(DEPOSIT if row.rests else ()))
     kept = [finding for invariant in invariants if (finding := invariant(flow)) is not None]
-    if row.rings:
-        kept = [finding for finding in kept if finding.check != "energy"]
+    kept = [finding for finding in kept if not (row.rings and finding.check == "energy")]
     if row.energy is not None:
         kept = [replace(finding, maximum=row.energy) if finding.check == "energy" else finding for finding in kept]
     required = []
@@ -126,8 +126,8 @@ def fronts() -> Fronts:
     scenes = {}
     for dimension, stiffness, step in itertools.product(RELEASED, STIFFNESSES, STEPS):
         flow, cells = RELEASED[dimension]
-        chosen = Resolution(cells=cells, particles_per_axis=2, step_fraction=step, precision="f32")
-        scene = with_resolution(replace(flow, stiffness=stiffness * flow.stiffness).scene(), chosen)
+        scene = replace(flow, stiffness=stiffness * flow.stiffness).scene()
+        scene = with_resolution(scene, own(cells, step_fraction=step))
         scenes[dimension, stiffness, step] = [replace(scene, relaxation_time=time) for time in TRANSFERS.values()]
     flows = iter(simulate_many([*itertools.chain(*scenes.values())], record=LAST, progress=True))
     return {key: {by: next(flows).summary["front"] for by in TRANSFERS} for key in scenes}
@@ -192,13 +192,11 @@ def conclusion(verdicts: Sequence[CheckedCase], columns: Fronts, safety: slopes.
 
 
 def row_of(case: CheckedCase) -> Row:
-    required = "; ".join(f"{finding.check} {finding.range} {finding.unit}".strip() for finding in case.own)
-    value = [", ".join(emphasised(f"{finding.value:.4g}", finding.ok) for finding in case.own)] if case.own else []
     kept = {finding.check: finding for finding in case.kept}
-    texts = (case.blown_up, *(str(finding) for finding in case.kept if not finding.ok))
-    wrong = [f"**{text}**" for text in texts if text]
+    values = ", ".join(emphasised(f"{finding.value:.4g}", finding.ok) for finding in case.own)
+    wrong = [case.blown_up, *(str(finding) for finding in case.kept if not finding.ok)]
     return {
         "scene": f"`{case.row.name}`: {case.row.what}",
-        "required": required,
-        "found": "; ".join([*value, *wrong]),
+        "required": "; ".join(f"{finding.check} {finding.range} {finding.unit}".strip() for finding in case.own),
+        "found": "; ".join([values] * bool(values) + [f"**{text}**" for text in wrong if text]),
     } | {head: f"{kept[check].value:{form}}" if check in kept else "" for check, (head, form) in COLUMNS.items()}

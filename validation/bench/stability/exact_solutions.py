@@ -59,10 +59,8 @@ class SlidingBlock:
 
     @staticmethod
     def of_scene(scene: Scene) -> "SlidingBlock":
-        """The block in a tilted box, with the friction of its floor and of the two walls of its channel.
-
-        The stress on the walls is nu times the vertical one: together they act like a floor of 2 mu_w nu (h / 2) / W.
-        """
+        """The block in a tilted box, with the friction of its floor and of the two walls of its channel. The stress on
+        the walls is nu times the vertical one: together they act like a floor of 2 mu_w nu (h / 2) / W."""
         mu = coefficient(scene.floor_friction)
         if scene.channel is not None:
             mu += scene.channel.grip * scene.material.poisson * 0.5 * scene.masses[0].size[1]

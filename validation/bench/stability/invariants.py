@@ -73,10 +73,8 @@ def inside_box(flow: Trajectory) -> Finding:
 
 
 def outside_baffles(flow: Trajectory) -> Finding | None:
-    """How deep any particle in any frame is inside a baffle [cells].
-
-    A face on a wall of the box does not count: there is no outside below a baffle on the floor.
-    """
+    """How deep any particle in any frame is inside a baffle [cells]. A face on a wall of the box does not count: there
+    is no outside below a baffle on the floor."""
     scene, deepest = flow.scene, 0.0
     if not scene.baffles:
         return None
@@ -127,11 +125,9 @@ def momentum(flow: Trajectory) -> Finding | None:
 
 
 def energy(flow: Trajectory) -> Finding:
-    """Largest rise of kinetic + potential + elastic energy above that of any earlier frame, relative.
-
-    To the initial kinetic energy plus the potential energy that the flow could give up in its box, down to the lowest
-    corner. Small rises add up, unlike under a bound from frame to frame.
-    """
+    """Largest rise of kinetic + potential + elastic energy above that of any earlier frame, relative. To the initial
+    kinetic energy plus the potential energy that the flow could give up in its box, down to the lowest corner. Small
+    rises add up, unlike under a bound from frame to frame."""
     series = total_energy(flow)
     gravity = np.array(flow.scene.gravity_vector)
     corners = np.array(list(itertools.product(*((0.0, length) for length in flow.scene.domain.size))))
@@ -147,10 +143,8 @@ def rest(flow: Trajectory) -> Finding:
 
 
 def slope(flow: Trajectory) -> Finding:
-    """Steepest slope of the final surface [deg], of planes fitted to BASE columns of a cell, in 3D to BASE x BASE.
-
-    The limit is the largest friction angle in the scene plus a margin.
-    """
+    """Steepest slope of the final surface [deg], of planes fitted to BASE columns of a cell, in 3D to BASE x BASE. The
+    limit is the largest friction angle in the scene plus a margin."""
     angle = max(flow.scene.material_of(mass).phi_deg for mass in flow.scene.masses)
     surface, cell = topmost(flow), flow.scene.domain.cell
     level = surface.ndim
@@ -171,24 +165,10 @@ def volume(flow: Trajectory) -> Finding | None:
     It uses particles in cubes of two cells that, with their neighbours, lie at least a cube under the surface. Sand at
     psi = 0 flows at constant volume. None if there are fewer than ten such cubes.
     """
-    sand, core = core_volumes(flow)
-    if core.sum() < MIN_CUBES:
-        return None
-    full = (CUBE * flow.scene.domain.cell) ** flow.scene.dimension
-    held = max(sand[core].sum(), flow.scene.particle_volume)
-    return Finding(check="volume", value=float(full * core.sum() / held - 1.0), minimum=-VOLUME, maximum=VOLUME)
-
-
-def core_volumes(flow: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Initial volume of the particles in each cube of the last frame [m^D], and which cubes are deep in the deposit.
-
-    Axes as in the box.
-    """
     scene, edge = flow.scene, CUBE * flow.scene.domain.cell
     counts = [round(length / scene.domain.cell) // CUBE for length in scene.domain.size]
     ranges = [(0.0, count * edge) for count in counts]
-    positions = flow.positions[-1].astype(np.float64)
-    volumes = initial_particles(scene).volume
+    positions, volumes = flow.positions[-1].astype(np.float64), initial_particles(scene).volume
     sand, _ = np.histogramdd(positions, bins=counts, range=ranges, weights=volumes)
     surface = np.nan_to_num(topmost(flow))
     for axis, count in enumerate([counts[0], *counts[2:]]):
@@ -196,14 +176,17 @@ def core_volumes(flow: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool
         surface = np.stack([part.min(axis=axis) for part in parts], axis=axis)
     level = np.expand_dims(minimum_filter(surface, 3, mode="constant"), 1)
     cover = (np.arange(counts[1]) + 2.0) * edge
-    return sand, np.asarray(level >= cover.reshape(1, -1, *(1,) * (surface.ndim - 1)))
+    core = level >= cover.reshape(1, -1, *(1,) * (surface.ndim - 1))
+    if core.sum() < MIN_CUBES:
+        return None
+    held = max(sand[core].sum(), scene.particle_volume)
+    value = float(edge**scene.dimension * core.sum() / held - 1.0)
+    return Finding(check="volume", value=value, minimum=-VOLUME, maximum=VOLUME)
 
 
 def topmost(flow: Trajectory) -> NDArray[np.float64]:
     """Height of the final surface [m], the topmost particle of every column of one cell; shape [cells in x(, in z)].
-
-    NaN where a baffle stands and beside it, 0 where there is no particle.
-    """
+    NaN where a baffle stands and beside it, 0 where there is no particle."""
     scene, cell = flow.scene, flow.scene.domain.cell
     level = [axis for axis in range(scene.dimension) if axis != 1]
     counts = [round(scene.domain.size[axis] / cell) for axis in level]

@@ -62,16 +62,13 @@ def falls_freely(flow: Trajectory) -> float:
 
 
 def parts_freely(flow: Trajectory) -> float:
-    """Rise of the upper mass at the end, over v t - g t^2 / 2 of a free throw.
-
-    Where the masses separate, they share one row of nodes and its velocity; that may cost the thrown one a tenth of its
-    rise. More than a free throw would be a gain of energy.
-    """
-    upper, scene = flow.scene.masses[1], flow.scene
+    """Rise of the upper mass at the end, over v t - g t^2 / 2 of a free throw. Where the masses separate, they share
+    one row of nodes and its velocity; that may cost the thrown one a tenth of its rise. More than a free throw would be
+    a gain of energy."""
+    upper, scene, height = flow.scene.masses[1], flow.scene, mass_height(flow, 1)
     assert upper.velocity is not None
     thrown = upper.velocity[1] * scene.duration - 0.5 * scene.gravity * scene.duration**2
-    moved = mass_height(flow, 1)
-    return float((moved[-1] - moved[0]) / thrown)
+    return float((height[-1] - height[0]) / thrown)
 
 
 def never_pulls(flow: Trajectory) -> float:
@@ -112,11 +109,9 @@ def fills_raster(flow: Trajectory) -> float:
 
 
 def at_rest_beyond_step(flow: Trajectory) -> NDArray[np.bool_]:
-    """Which particles rest beyond the first solid, shape [N].
-
-    It leaves out particles that still move by more than a tenth of a cell per frame, and those within three cells of
-    the step, where one on its edge would count as a column as high as the step.
-    """
+    """Which particles rest beyond the first solid, shape [N]. It leaves out particles that still move by more than a
+    tenth of a cell per frame, and those within three cells of the step, where one on its edge would count as a column
+    as high as the step."""
     before, last = flow.positions[-2:].astype(np.float64)
     step, cell = flow.scene.solids[0], flow.scene.domain.cell
     assert step.lower is not None
@@ -135,9 +130,7 @@ def fills_its_volume(flow: Trajectory) -> float:
 
 def lies_as_high_as_dense(flow: Trajectory) -> float:
     """Mean height of the material at rest beyond the first solid over half its volume per area, in strips a cell wide.
-
-    It ignores the roughness of the surface: in 3D a deposit five particles thick is rough by one particle.
-    """
+    It ignores the roughness of the surface: in 3D a deposit five particles thick is rough by one particle."""
     rests = at_rest_beyond_step(flow)
     positions, volumes = flow.positions[-1, rests].astype(np.float64), flow.volumes[rests].astype(np.float64)
     cell = flow.scene.domain.cell
@@ -156,16 +149,13 @@ def settles_at_most_twice(flow: Trajectory) -> float:
 
 def rests_settled(flow: Trajectory) -> float:
     """The same when the solver detects rest: a bed oscillates between 0 and twice that, where nothing moves either."""
-    rest = flow.summary.get("rest_time")
-    frame = 0 if rest is None else int(np.argmin(np.abs(flow.time - rest)))
-    return float(surface_settlement(flow)[frame]) / exact.settlement(flow.scene)
+    rest = flow.summary.get("rest_time") or 0.0
+    return float(surface_settlement(flow)[np.abs(flow.time - rest).argmin()]) / exact.settlement(flow.scene)
 
 
 def rests_after_landing(flow: Trajectory) -> float:
-    """Time at which the solver detects rest of thrown sand, over that of its landing; inf if it never does.
-
-    Sand thrown upwards at v from the height h lands after (v + sqrt(v^2 + 2 g h)) / g.
-    """
+    """Time at which the solver detects rest of thrown sand, over that of its landing; inf if it never does. Sand thrown
+    upwards at v from the height h lands after (v + sqrt(v^2 + 2 g h)) / g."""
     rest, (mass, *_), gravity = flow.summary.get("rest_time"), flow.scene.masses, flow.scene.gravity
     up = mass.velocity[1] if mass.velocity else 0.0
     landing = (up + math.sqrt(up**2 + 2.0 * gravity * mass.lower[1])) / gravity
@@ -179,10 +169,8 @@ def stands(flow: Trajectory) -> float:
 
 
 def spreads(flow: Trajectory) -> float:
-    """The front over that of a pile at the friction angle with the area of the column L x H at the wall.
-
-    The pile is a trapezoid, L + H / (2 tan phi), if H <= 2 L tan phi, else a triangle, sqrt(2 L H / tan phi).
-    """
+    """The front over that of a pile at the friction angle with the area of the column L x H at the wall. The pile is a
+    trapezoid, L + H / (2 tan phi), if H <= 2 L tan phi, else a triangle, sqrt(2 L H / tan phi)."""
     masses, tan_phi = flow.scene.masses, flow.scene.material.friction
     length, height = masses[0].size[0], sum(mass.size[1] for mass in masses)
     low = height <= 2.0 * length * tan_phi
@@ -203,10 +191,8 @@ def runs_out(flow: Trajectory) -> float:
 
 
 def fails(flow: Trajectory) -> float:
-    """Share of the particles that moved by a cell or more: from 0.05 on a cut has failed.
-
-    A slice of one cell off its face is less; Rankine's wedge behind a cut as wide as high is a quarter.
-    """
+    """Share of the particles that moved by a cell or more: from 0.05 on a cut has failed. A slice of one cell off its
+    face is less; Rankine's wedge behind a cut as wide as high is a quarter."""
     moved = np.linalg.norm((flow.positions[-1] - flow.positions[0]).astype(np.float64), axis=1)
     return float((moved >= flow.scene.domain.cell).mean())
 

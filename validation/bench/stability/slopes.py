@@ -79,7 +79,6 @@ def conclusion(by_slope: Factors) -> str:
         count: max(abs(by_cells[count].factor / slope.factor - 1.0) for slope, by_cells in slopes.items())
         for count in next(iter(slopes.values()))
     }
-    said = ", ".join(f"{percent(value)} with {count}" for count, value in off.items())
-    return (
-        f"Factors of safety of {len(slopes)} slopes differ from the known ones by at most {said} cells over the height."
-    )
+    most = ", ".join(f"{percent(value)} with {count}" for count, value in off.items())
+    count = len(slopes)
+    return f"Factors of safety of {count} slopes differ from the known ones by at most {most} cells over the height."
