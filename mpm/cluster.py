@@ -26,16 +26,11 @@ from datasets.scene import Scene
 from mpm.arrays.layout import Precision
 from mpm.output.recording import ALL, Recording
 
-GRACE = 0.5
-"""Seconds to wait for this process's own signal after another was killed: a batch system signals the whole job."""
-CONNECT = 10.0
-"""Seconds in which a scheduler must answer."""
-RETRIES = 2
-"""How often a task that an error interrupted is tried again."""
-PATIENCE = 3600.0
-"""Seconds to wait for the first worker: a batch system starts them one by one."""
-QUEUED = 2
-"""Tasks handed to each Dask worker, so that the next one is there when it finishes one."""
+GRACE = 0.5  # seconds to wait for a signal of its own after another was killed: a batch system signals the whole job
+CONNECT = 10.0  # seconds in which a scheduler must answer
+RETRIES = 2  # how often a task that an error interrupted is tried again
+PATIENCE = 3600.0  # seconds to wait for the first worker: a batch system starts them one by one
+QUEUED = 2  # tasks handed to each Dask worker, so that the next one is there when it finishes one
 
 T = TypeVar("T")
 
@@ -51,8 +46,7 @@ class Workers:
     def completed(self, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, Future[T]]]:
         """`work(*task)` of each task with its number, in the order in which they end.
 
-        No more tasks are submitted than the processes can take: an executor cannot withdraw queued tasks on Ctrl-C.
-        """
+        No more tasks are submitted than the processes can take: an executor cannot withdraw queued tasks on Ctrl-C."""
         waiting, running = enumerate(tasks), dict[Future[T], int]()
         while True:
             for number, task in islice(waiting, max(0, self.width() - len(running))):
@@ -73,8 +67,7 @@ class Workers:
     ) -> list[Trajectory]:
         """The trajectories of `scenes`, each the same to the bit as on one thread here.
 
-        Raises ScenesFailed if a scene blew up, and WorkFailed if no workers are left.
-        """
+        Raises ScenesFailed if a scene blew up, and WorkFailed if no workers are left."""
         from mpm.simulation import whole
 
         outcomes = dict(self.finished(outcome_of, [(scene, record, precision) for scene in scenes]))
@@ -116,8 +109,7 @@ def begin_worker() -> None:
 def connected(address: str) -> Iterator[Workers]:
     """The workers of the Dask scheduler at `address`, or of the one that wrote the JSON file of that name.
 
-    Raises InputError, and WorkFailed if no worker connects.
-    """
+    Raises InputError, and WorkFailed if no worker connects."""
     try:
         from distributed import Client
     except ImportError:

@@ -168,8 +168,7 @@ def expected(
 ) -> Expected:
     """Time and memory for `work` [particle-steps] of scenes like this on `processors`, followed by `after` seconds.
 
-    until_rest: whether runs end when the flow rests; least: whether more work may follow, as it does with `after`.
-    """
+    until_rest: whether runs end when the flow rests; least: whether more work may follow, as it does with `after`."""
     speed = processors * SPEED[scene.dimension] if arch == "cpu" else GPU_SPEED[scene.dimension]
     speed *= (SOLIDS if scene.baffles or scene.solids else 1.0) * (DOUBLE if precision == "f64" else 1.0)
     first, last = START[scene.dimension]

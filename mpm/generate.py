@@ -50,10 +50,8 @@ def command(
         seed: Seed of the dataset.
         jobs: Number of processes that simulate; one per processor unless given.
         scheduler: Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file. Its workers simulate
-            instead; they need this version of Talus and the folder OUT at the same path.
-    """
-    if scheduler is not None and jobs is not None:
-        raise InputError("expected none with --scheduler, whose workers are the jobs", key="--jobs")
+            instead; they need this version of Talus and the folder OUT at the same path."""
+    require(scheduler is None or jobs is None, "--jobs", "none with --scheduler, whose workers are the jobs")
     jobs = processors() if jobs is None else jobs
     generate(read_definition(definition), out, seed=seed, count=count, jobs=jobs, scheduler=scheduler)
 
@@ -73,8 +71,7 @@ def generate(
 
     Runs in `jobs` processes or on the workers of a Dask scheduler. Prints the expected time and memory, including the
     time `after` [s] and the memory `beside` [bytes] that the caller needs. Raises InputError if `out` holds
-    trajectories of another dataset, WorkFailed if a simulation fails.
-    """
+    trajectories of another dataset, WorkFailed if a simulation fails."""
     require(1 <= jobs <= MOST_JOBS, "jobs", f"at least 1 job and at most {MOST_JOBS} jobs", jobs)
     entries = definition.entries(seed=seed, count=count)
     # Each trajectory of an inversion is read in units of its own.
@@ -122,8 +119,7 @@ def simulate_all(workers: Workers, entries: list[Entry], out: Path, *, total: in
     """Simulate `entries`, of `total` in the dataset.
 
     A failed one does not stop the others; WorkFailed names it. Raises OSError where the disk is full or read-only: the
-    others would fail too.
-    """
+    others would fail too."""
     failures = []
     tasks = [(entry.scene, trajectory_path(entry, out), storage) for entry in entries]
     with tqdm(total=total, initial=total - len(entries), unit="trajectory", dynamic_ncols=True) as bar:

@@ -196,8 +196,7 @@ def kernel(features: Features) -> Callable[..., None]:
 
     It takes the arrays of `mpm.arrays.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute
     and record the frames before `last`, while grids have room. The other phases are parts of a frame on a GPU, with one
-    thread per particle: see `mpm.device`.
-    """
+    thread per particle: see `mpm.device`."""
     # With water, optimisation by Taichi takes ten more seconds in 3D and makes a step one per cent faster.
     return kernel_of(STEP | RECORD | DEVICE, advance, features, optimised=not features.wet)
 
@@ -206,8 +205,7 @@ def compute(batch: Batch, last: int, threads: int | None = None) -> None:
     """Compute the remaining frames of a batch before `last`, on the threads of a CPU.
 
     threads: for a shared scene, one per worker unless given; the result is the same to the bit. If a grid has no room
-    for the next step, the kernel returns before it and continues with a larger grid.
-    """
+    for the next step, the kernel returns before it and continues with a larger grid."""
     first, run = batch.computed + 1, kernel(batch.features)
     batch.offsets[:, Offset.NEXT], batch.offsets[:, Offset.DONE] = first, 0
     grown = True

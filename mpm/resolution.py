@@ -31,10 +31,8 @@ from mpm.arrays.layout import Precision
 from mpm.arrays.properties import substeps_per_frame
 
 MEASURED = Path(__file__).with_suffix(".toml")
-COVERAGE = 0.9
-"""Share of scenes that a tolerance holds for."""
-ROUNDING = 1.0e-9
-"""Slack for rounding to a whole number of cells."""
+COVERAGE = 0.9  # share of scenes that a tolerance holds for
+ROUNDING = 1.0e-9  # slack for rounding to a whole number of cells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +109,7 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[MeasuredResoluti
     """`scene` at the cheapest resolution whose promised error is within `tolerance`, a fraction of the extent.
 
     Chooses among the resolutions measured in the same dimension, without interpolation; `measured` defaults to what
-    ships. Raises InputError for a tolerance below the best that was measured.
-    """
+    ships. Raises InputError for a tolerance below the best that was measured."""
     measured = read_measured() if measured is None else measured
     candidates = [entry for entry in measured if entry.dimension == scene.dimension]
     best = min((entry.promised for entry in candidates), default=math.inf)
@@ -135,8 +132,7 @@ def with_resolution(scene: Scene, resolution: Resolution) -> Scene:
 def fitted_cell(domain: Domain, largest: float) -> float:
     """The largest cell [m], at most `largest` [m], that divides every side of `domain`.
 
-    It is a whole fraction of the greatest common divisor of the sides, found from the present cells of the domain.
-    """
+    It is a whole fraction of the greatest common divisor of the sides, found from the present cells of the domain."""
     common = math.gcd(*(round(length / domain.cell) for length in domain.size)) * domain.cell
     return common / math.ceil(common / largest - ROUNDING)
 
@@ -144,8 +140,7 @@ def fitted_cell(domain: Domain, largest: float) -> float:
 def characteristic_length(scene: Scene) -> float:
     """The smallest side [m] of the released bodies, each the box around masses that touch.
 
-    A side that spans the domain from wall to wall does not count, unless all sides do.
-    """
+    A side that spans the domain from wall to wall does not count, unless all sides do."""
     lengths: list[float] = []
     across: list[float] = []
     lower, upper = corners(scene.masses)

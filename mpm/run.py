@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from datasets.command_line import run
-from datasets.errors import InputError, naming
+from datasets.errors import InputError, naming, require
 from datasets.exchange.vtk import remove_series, write_vtk
 from datasets.files import make_folder, write_json
 from datasets.flow.array_files import HDF5, FrameWriter
@@ -67,8 +67,7 @@ def command(
         hdf5: Write DIR/trajectory.h5 instead of trajectory.npz, frame by frame during the run: the positions need not
             fit into memory, unless fields are recorded too.
         safety: Compute the factor of safety, by which the strength may be divided before the slope moves, from about
-            twelve runs at the scene's cell size; write DIR/safety.json instead of a trajectory.
-    """
+            twelve runs at the scene's cell size; write DIR/safety.json instead of a trajectory."""
     if safety:
         others = {"arch": arch != "cpu", "tolerance": tolerance, "every": every, "last-frame": last_frame}
         others |= {"fields": fields, "until-rest": until_rest, "vtk": vtk, "forces": forces, "hdf5": hdf5}
@@ -81,10 +80,8 @@ def command(
         what = resolved(given, read_tolerance(tolerance))
         given, precise = what.scene, precision or what.measured.resolution.precision
         print(what)
-    if last_frame and every is not None:
-        raise InputError("expected one of --every and --last-frame, got both", key="--every")
-    if every is not None and every < 1:
-        raise InputError(f"expected a whole number from 1 on, got {every}", key="--every")
+    require(not last_frame or every is None, "--every", "one of --every and --last-frame", "both")
+    require(every is None or every >= 1, "--every", "a whole number from 1 on", every)
     fields = fields or vtk
     frames: Literal["all", "last"] | int = "last" if last_frame else "all" if every is None else every
     record = Recording(frames=frames, fields=fields, wall_forces=fields or forces, until_rest=until_rest)

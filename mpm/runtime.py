@@ -29,8 +29,7 @@ def start(
     """Make Taichi ready for `precision` on `threads` cores (all by default), or on a GPU.
 
     enough: threads that suffice if Taichi already runs, since a restart loses the compiled kernels. Raises InputError
-    if there is no such GPU.
-    """
+    if there is no such GPU."""
     global _running
     threads = threads or processors()
     if _running == (precision, threads, arch):
@@ -70,30 +69,25 @@ def start(
 
 @cache
 def trace_faster() -> None:
-    """Skip work that Taichi repeats at every expression and function call; set up once per process."""
+    """Skip work that Taichi 1.7.4 repeats at every expression and function call; set up once per process."""
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
+    def place_in_source(context: Any, node: Any) -> str:
+        return f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
+
+    # Its own, for error messages, also quotes and underlines the lines of every expression of every kernel: a fifth of
+    # the time before the first step if the kernels are cached.
     ASTTransformerContext.get_pos_info = place_in_source
     # Taichi looks for the source at every call.
     kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)
-
-
-def place_in_source(context: Any, node: Any) -> str:
-    """The place of an expression of a kernel in its source, for error messages.
-
-    Taichi 1.7.4 also quotes and underlines the lines, for every expression of every kernel: a fifth of the time before
-    the first step if the kernels are cached.
-    """
-    return f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
 
 
 def drop_stale_lock(lock: Path) -> None:
     """Remove a lock on the kernel cache that a killed process has left.
 
     While the lock exists, Taichi neither reads nor writes the cache, and every run compiles again: `baffles-2` for 26 s
-    instead of 4. A process holds the lock while it writes its kernels, for seconds at most.
-    """
+    instead of 4. A process holds the lock while it writes its kernels, for seconds at most."""
     with suppress(OSError):
         if datetime.now().timestamp() - lock.stat().st_mtime > STALE:
             lock.unlink()

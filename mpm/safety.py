@@ -87,10 +87,8 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
 
     options: those of `mpm.simulate_many`, except `record`. Raises InputError for a scene without gravity, or one that
     stands, or moves, whatever its strength, one with a field of thickness, and for a tolerance not above 0. Warns in
-    one line if the slope moves even at twice the strength.
-    """
-    if scene.gravity <= 0.0:
-        raise InputError("expected gravity above 0: nothing moves without it", key="gravity")
+    one line if the slope moves even at twice the strength."""
+    require(scene.gravity > 0.0, "gravity", "gravity above 0: nothing moves without it")
     require(tolerance > 0.0, "tolerance", "a number above 0", tolerance)
     uneven = any(field.quantity == THICKNESS for field in scene.fields)
     require(not uneven, "fields", "no field of thickness beside --safety; give the layer its own thickness")

@@ -27,20 +27,16 @@ from mpm.footprint import footprint, require_memory
 from mpm.initial.stages import begin_stages, call_end
 from mpm.kernel import Phase, compute, kernel
 from mpm.output.checkpoint import Checkpoint
-from mpm.output.outcome import trajectory
+from mpm.output.outcome import flow_of, trajectory
 from mpm.output.recording import ALL, Recording
 from mpm.runtime import ARCHES, Arch
 
 LARGE = 2 * runtime.PARTICLES_PER_WORKER
 """From this many particles on, a scene uses several threads and is sorted by cell every FRAMES_PER_CALL frames."""
-COMPILING = {2: 5, 3: 10}
-"""Seconds to compile a kernel, by dimension."""
-PARTICLE_STEPS_PER_CALL = 5.0e6
-"""About a second or two of one thread. A kernel call computes at least one frame; a stop waits for its end."""
-SHORT = 0.02
-"""A call shorter than this [s] says too little about how busy the processors are."""
-PATIENCE = 4.0
-"""A large scene tries all its threads again after one second, then after two, and at most after this many."""
+COMPILING = {2: 5, 3: 10}  # seconds to compile a kernel, by dimension
+PARTICLE_STEPS_PER_CALL = 5.0e6  # about a second or two of one thread: a stop waits for the end of a call
+SHORT = 0.02  # a call shorter than this [s] says too little about how busy the processors are
+PATIENCE = 4.0  # a large scene tries all its threads again after one second, then after two, at most after this many
 
 
 class Options(TypedDict, total=False):
@@ -114,8 +110,7 @@ def simulate(
     stop: called every few frames; once it returns True, Interrupted is raised with a checkpoint. resume: a checkpoint,
     from which the run continues; on as many threads the result is the same to the bit as without interruption. Raises
     WorkFailed if the run blew up, InputError if there is no GPU or if the checkpoint belongs to another scene,
-    recording or precision.
-    """
+    recording or precision."""
     check_options(options)
     scene = scene if isinstance(scene, Scene) else read_scene(scene)
     warn_if_unlikely(scene)
@@ -124,8 +119,7 @@ def simulate(
     precision, record = options.get("precision", "f32"), options.get("record", ALL)
     parts = runtime.parts_for(particle_count(scene), threads) if arch == "cpu" else 1
     file, gpu = options.get("file"), arch != "cpu"
-    if file is not None and record.state:
-        raise InputError("expected only positions: fields are smoothed in memory", key="file")
+    require(file is None or not record.state, "file", "only positions: fields are smoothed in memory")
     plan = footprint(scene, record=record, precision=precision, workers=parts, gpu=gpu, in_file=file is not None)
     require_memory([plan])
     particles = particles_of([scene])
@@ -134,19 +128,13 @@ def simulate(
     batch = Batch([scene], precision=precision, workers=parts, record=record, gpu=gpu, particles=particles, file=file)
     if resume is not None:
         resume.restore(batch)
-    with progress_bar(scene.frames - 1, batch.computed, options) as bar:
-        wall_s, compile_s = run_batch(batch, arch, bar, stop, threads=workers, say=options.get("progress", False))
+    show = options.get("progress", False)
+    with tqdm(total=scene.frames - 1, initial=batch.computed, unit="frame", disable=not show, desc="mpm") as bar:
+        wall_s, compile_s = run_batch(batch, arch, bar, stop, threads=workers, say=show)
     wall_s += 0.0 if resume is None else resume.wall_s
     if batch.computed < scene.frames - 1 and not batch.ended(batch.computed + 1).any():
-        kept = [frame for frame in batch.kept(0) if frame <= batch.computed]
-        so_far = Trajectory(
-            positions=batch.recorded(0)[: len(kept)],
-            time=np.array(kept, np.float64) * scene.frame_dt,
-            velocity0=particles[0].velocities.astype(np.float32),
-            friction=particles[0].friction,
-            scene=scene,
-            entry_time=particles[0].entry_time,
-        )
+        kept = sum(frame <= batch.computed for frame in batch.kept(0))
+        so_far = flow_of(batch, 0, batch.recorded(0)[:kept])
         raise Interrupted(Checkpoint.from_batch(batch, wall_s=wall_s), so_far)
     outcome = trajectory(batch, 0, arch=arch, wall_s=wall_s, compile_s=compile_s)
     if isinstance(outcome, WorkFailed):
@@ -157,8 +145,7 @@ def simulate(
 def simulate_many(scenes: Sequence[Scene | str | Path], **options: Unpack[Options]) -> list[Trajectory]:
     """Run scenes side by side, one per thread; with fewer than LARGE particles, each is the same to the bit as alone.
 
-    Raises ScenesFailed after all have ended if one blew up, and InputError as `simulate` does.
-    """
+    Raises ScenesFailed after all have ended if one blew up, and InputError as `simulate` does."""
     if len(scenes) == 1:
         return [simulate(scenes[0], **options)]
     return whole(simulate_each(scenes, **options))
@@ -176,13 +163,11 @@ def simulate_each(scenes: Sequence[Scene | str | Path], **options: Unpack[Option
     """As `simulate_many`, but a scene that blew up leaves a WorkFailed in its place.
 
     Scenes that need the same features run together, in the kernel that each would get alone; `wall_s` and `compile_s`
-    of their summaries are those of all scenes together.
-    """
+    of their summaries are those of all scenes together."""
     check_options(options)
     require(len(scenes) > 0, "scenes", "one scene at least", "none")
     given = [scene if isinstance(scene, Scene) else read_scene(scene) for scene in scenes]
-    if "file" in options:
-        raise InputError("expected a single scene for frames kept in a file, got several", key="file")
+    require("file" not in options, "file", "a single scene for frames kept in a file", "several")
     for scene in given:
         warn_if_unresolved(scene)
     arch, record = options.get("arch", "cpu"), options.get("record", ALL)
@@ -197,11 +182,12 @@ def simulate_each(scenes: Sequence[Scene | str | Path], **options: Unpack[Option
     outcomes: dict[int, Trajectory | WorkFailed] = {}
     wall_s = compile_s = 0.0
     frames = sum(max(given[index].frames for index in group) - 1 for group in groups.values())
-    with progress_bar(frames, 0, options) as bar:
+    show = options.get("progress", False)
+    with tqdm(total=frames, unit="frame", disable=not show, desc="mpm") as bar:
         for group in groups.values():
             alike, filled = [given[index] for index in group], [particles[index] for index in group]
             batch = Batch(alike, precision=precision, record=record, gpu=gpu, particles=filled)
-            seconds = run_batch(batch, arch, bar, lambda: False, say=options.get("progress", False))
+            seconds = run_batch(batch, arch, bar, lambda: False, say=show)
             wall_s, compile_s = wall_s + seconds[0], compile_s + seconds[1]
             for number, index in enumerate(group):
                 outcomes[index] = trajectory(batch, number, arch=arch, wall_s=0.0, compile_s=0.0)
@@ -217,8 +203,7 @@ def run_batch(
     """Run all scenes of a batch to their ends or until a stop; return the seconds to compute and to compile.
 
     threads: for one scene in parts; one per part unless given. say: announce a compilation that takes more than a
-    second; a kernel that was compiled before loads in less.
-    """
+    second; a kernel that was compiled before loads in less."""
     run = kernel(batch.features)
     begin = time.perf_counter()
     line = f"compiling: the first run of a kind takes some {COMPILING[batch.features.dimension]} s longer"
@@ -244,8 +229,7 @@ def run_on_threads(batch: Batch, bar: "tqdm[None]", stop: Callable[[], bool], th
     """Compute the frames of all scenes of a batch, after `batch.computed`, on the threads of the CPU.
 
     A call ends where particles are sorted (the same frames whether or not the run was interrupted), where a frame is
-    kept that the kernel does not record, and where a stage may begin.
-    """
+    kept that the kernel does not record, and where a stage may begin."""
     end, crew = max(scene.frames for scene in batch.scenes), Crew(batch, threads)
     steps = (batch.offsets[:, Offset.SUBSTEPS] * batch.offsets[:, Offset.PARTICLES].astype(float)).sum()
     most = max(1, int(PARTICLE_STEPS_PER_CALL * crew.most / steps))
@@ -271,8 +255,7 @@ def run_on_threads(batch: Batch, bar: "tqdm[None]", stop: Callable[[], bool], th
 class Crew:
     """The number of threads for the parts of a large scene: it is halved while other processes occupy processors.
     Threads wait for each other in every step: if one waits for a processor, all do. If m <= 1 of T processors are
-    taken, T threads run at 1 - m of their speed, and T / 2 threads at half of it. The result is the same to the bit.
-    """
+    taken, T threads run at 1 - m of their speed, and T / 2 threads at half of it. The result is the same to the bit."""
 
     def __init__(self, batch: Batch, threads: int | None = None) -> None:
         self.most = self.threads = threads or len(batch.workers)
@@ -290,9 +273,3 @@ class Crew:
                 self.threads = self.most
         else:
             self.patience = 1.0
-
-
-def progress_bar(frames: int, computed: int, options: Options) -> "tqdm[None]":
-    """A progress bar over frames, if asked for."""
-    disabled = not options.get("progress", False)
-    return tqdm(total=frames, initial=computed, unit="frame", disable=disabled, desc="mpm")

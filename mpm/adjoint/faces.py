@@ -201,8 +201,7 @@ def at_bed(x, frictions, heights, corner, spacing):
 def at_face(x, corners, normal, frictions, part, side, dimension):
     """Friction, distance [m] and normal at the point of a face nearest to `x` [m]; traced.
 
-    part: as in `mpm.solids.face_lookup.foot_on_triangle`; side: roughly the normal.
-    """
+    part: as in `mpm.solids.face_lookup.foot_on_triangle`; side: roughly the normal."""
     points = [corners[k * dimension : (k + 1) * dimension] for k in range(dimension)]
     weights = foot_weights(x, points, part, dimension)
     foot = [dot(weights, [point[i] for point in points]) for i in range(dimension)]

@@ -41,15 +41,13 @@ Objective = Callable[[Floats, Floats], tuple[float, Floats, "Floats | None"]]
 """Function of positions [m] and velocities [m/s] at the observed frames, shape [T, N, D] each: the value, and its
 derivatives with respect to both; None if it does not depend on velocity."""
 
-STEP = 1.0e-5
-"""Relative step of the differences of closed forms."""
+STEP = 1.0e-5  # relative step of the differences of closed forms
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunNumbers:
     """The initial numbers of a run of a scene, or the derivatives of an objective J with respect to each of them; N
-    particles, D dimensions.
-    """
+    particles, D dimensions."""
 
     scene: Scene
     particles: Particles
@@ -98,8 +96,7 @@ class Gradient(RunNumbers):
         """dJ/d(constant `name` of the material) of every particle, as if each had its own, shape [N].
 
         `friction_deg` is taken at the angle of each particle if a field of the scene gives it. Raises InputError for a
-        constant of cohesion if a material has none.
-        """
+        constant of cohesion if a material has none."""
         derivatives = np.zeros(len(self.positions))
         for index, material in enumerate(self.particles.materials):
             if name in ("cohesion", "tension_cutoff", "strength_gradient") and not material.cohesive:
@@ -132,8 +129,7 @@ class Gradient(RunNumbers):
         """The contributions to `along` of each particle, shape [N], and of each post of the terrain, shape [P].
 
         For a path along which a field changes everywhere, with its `slopes`, these are the derivatives with respect to
-        the value of the field at each particle and each post.
-        """
+        the value of the field at each particle and each post."""
         names = [field.name for field in dataclasses.fields(RunNumbers)[2:]]
         ends, count = np.cumsum([vars(self)[name].size for name in names]), len(self.positions)
         parts = dict(zip(names, np.split(self.products(slopes), ends[:-1]), strict=True))
@@ -179,8 +175,7 @@ def rows_at(material: Material, depth: Floats, friction_deg: Floats | None, name
 def started(scene: Scene, base: Start | None = None) -> Start:
     """The initial numbers of a run of `scene`; those that it shares with `base` are not computed again.
 
-    Raises InputError if the scenes have different numbers of particles or faces.
-    """
+    Raises InputError if the scenes have different numbers of particles or faces."""
     if base is None:
         particles, solids = initial_particles(scene), obstacles_in(scene)
         stress, properties = initial_tractions(scene, particles)[0], properties_of(particles)
@@ -230,8 +225,7 @@ def faces_and_holds(scene: Scene, nodes: NDArray[np.int64], base: Floats) -> tup
     """Faces of the solids of a scene, its holds in the order of `base` [K, 3], which belong to `nodes` [K, D], and the
     friction of its terrain, [P].
 
-    A hold that the scene does not have gets a share of zero. Other data of solids for the kernel are not made.
-    """
+    A hold that the scene does not have gets a share of zero. Other data of solids for the kernel are not made."""
     surface, holds = contact_surface_of(scene), base.copy()
     holds[:, 2] = 0.0
     if surface is None:

@@ -39,8 +39,7 @@ def before_return(columns, strained, moduli, opening, box, dt, strengths_at, fea
 
     columns: the values of the law's columns, and the plastic strain; strained: stress, C, velocity jump at contact and
     contact; opening: gap, rate at which it follows the grid's gap, mass of the grid around, position and density; box:
-    cell, cells along each axis and T_0.
-    """
+    cell, cells along each axis and T_0."""
     strengths = strengths_at(*columns, box[0], dt, features)
     opened, limits = None, []
     if features.volume_correction:

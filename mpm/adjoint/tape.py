@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, WorkFailed, require
+from datasets.errors import WorkFailed, require
 from datasets.scene import Scene
 from datasets.scene.particles import Particles
 from mpm import runtime
@@ -31,8 +31,7 @@ from mpm.output.recording import LAST
 
 Array = NDArray[Any]
 
-MEMORY_MIB = 256.0
-"""Default memory budget of checkpoints, states of a segment and adjoints [MiB]."""
+MEMORY_MIB = 256.0  # default memory budget of checkpoints, states of a segment and adjoints [MiB]
 CUT = 20.0
 """Adjoint of a particle's velocity, over the largest of the objective times the duration, above which it is cut.
 
@@ -41,20 +40,16 @@ they lose contact: some 1e-8 m, without effect on the flow. The derivative along
 their steps. The motion of such a particle has no meaningful derivative, and its adjoint is set to 0. Its earlier
 contributions to others are kept, so that an inversion takes shorter steps (`steady`). Adjoints of the force on a baffle
 exceed 5 even without such particles."""
-MOST_CUT = 0.02
-"""Share of cut adjoints, of all particles and steps, from which a gradient is rejected."""
-SPARE = 1.25
-"""Steps in a frame, over its usual number, for which a plan has room: fast particles shorten the step."""
+MOST_CUT = 0.02  # share of cut adjoints, of all particles and steps, from which a gradient is rejected
+SPARE = 1.25  # steps in a frame, over its usual number, for which a plan has room: fast particles shorten the step
 
 
 def check(features: Features) -> None:
     """Raise InputError if scenes with `features` need something without an adjoint."""
     dry = "false: the adjoint does not cover pore water, python -m validation.loop needs none"
     require(not features.pores, "material.saturated", dry, "true")
-    if features.gates:
-        raise InputError("expected a scene without a gate, which the adjoint does not cover yet", key="scene")
-    if features.inflow:
-        raise InputError("expected masses present from the start, the adjoint does not cover inflow", key="masses")
+    require(not features.gates, "scene", "a scene without a gate, which the adjoint does not cover yet")
+    require(not features.inflow, "masses", "masses present from the start, the adjoint does not cover inflow")
 
 
 def steady(scene: Scene) -> Scene:
@@ -62,8 +57,7 @@ def steady(scene: Scene) -> Scene:
 
     They are at most sqrt((lambda + 2 mu) / (3 lambda + 2 mu)) of a cell over the wave speed, 0.73 with nu = 0.3. With
     longer steps a few particles dominate a gradient although they move by only 1e-8 m, as in a chaotic system (Metz et
-    al. 2021, Gradients are not all you need). In 2D few particles fly alone, and the scene keeps its step.
-    """
+    al. 2021, Gradients are not all you need). In 2D few particles fly alone, and the scene keeps its step."""
     if scene.dimension < 3:
         return scene
     moduli = [(material.lame, 2.0 * material.shear_modulus) for material in map(scene.material_of, scene.masses)]
@@ -89,8 +83,7 @@ class Tape:
     budget besides the arrays of the run itself; outputs: number of objectives that are reversed together, for whose
     adjoints memory is counted; exact: as `mpm.adjoint.layout.Layout.exact`, for tests; particles: initial particles of
     each scene, if they differ from the scene's own. Raises InputError if a scene needs something without an adjoint, if
-    the scenes differ in kind, or if the budget is too small; WorkFailed if a run blows up.
-    """
+    the scenes differ in kind, or if the budget is too small; WorkFailed if a run blows up."""
 
     def __init__(
         self,
@@ -105,15 +98,15 @@ class Tape:
         particles: Sequence[Particles] | None = None,
     ) -> None:
         self.frames, last = sorted(set(frames)), min(scene.frames for scene in scenes) - 1
-        if not self.frames or self.frames[0] < 0 or not 0 < self.frames[-1] <= last:
-            raise InputError(f"expected frames from 0 to {last}, one of them after the first, got {list(frames)}")
+        within = bool(self.frames) and self.frames[0] >= 0 and 0 < self.frames[-1] <= last
+        require(within, "", f"frames from 0 to {last}, one of them after the first", list(frames))
         particles = particles_of(scenes) if particles is None else list(particles)
         features = features_of(scenes, precision, record=LAST)
-        if any(features_of([scene], precision, record=LAST) != features for scene in scenes):
-            raise InputError("expected scenes of one kind, with the same features: contact, damping, ...")
+        alike = all(features_of([scene], precision, record=LAST) == features for scene in scenes)
+        require(alike, "", "scenes of one kind, with the same features: contact, damping, ...")
         check(features)
-        if any(scene.stages for scene in scenes):
-            raise InputError("expected a scene without stages, which the adjoint does not cover", key="stages")
+        staged = any(scene.stages for scene in scenes)
+        require(not staged, "stages", "a scene without stages, which the adjoint does not cover")
         workers = runtime.workers_for(len(particles[0].positions), threads) if len(scenes) == 1 else 1
         runtime.start(precision, threads, enough=max(workers, min(len(scenes), threads or len(scenes))))
         self.batch = Batch(scenes, precision=precision, workers=workers, record=LAST, particles=particles)
@@ -123,16 +116,15 @@ class Tape:
         count = len(self.batch.workers)
         self.batch.scratch = aligned((count * self.layout.scratch.size, features.lanes), self.batch.state.dtype)
         self.batch.workers[:, Worker.SCRATCH] = np.arange(count) * self.layout.scratch.size
+        # The vectors of a block that change from step to step.
         self.changing = [*range(features.state.properties), *range(features.state.remainder, features.state.size)]
-        """The vectors of a block that change from step to step."""
         self.start = self.checkpoint()
         self.barriers = self.batch.retained.copy(), self.batch.settling.copy()
         self.released: set[int] = set()
         self.memory_mib, vector = memory_mib, self.batch.state[:, 0].nbytes
+        # Bytes of a checkpoint, of the states before one step, and of the adjoints of particles.
         self.state_bytes, self.step_bytes = len(self.changing) * vector, self.layout.history * vector
-        """Bytes of a checkpoint, and of the states before one step."""
         self.adjoint_bytes = outputs * self.layout.width * vector
-        """Bytes of the adjoints of particles."""
         usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
         self.run(usual, SPARE * usual)
         opened = {frame for frame in self.batch.retained[:, Retained.OPENED].tolist() if 0 < frame < self.frames[-1]}
@@ -196,8 +188,7 @@ class Tape:
         for index in range(len(self.batch.scenes)):
             if (failed := failure(self.batch, index)) is not None:
                 raise failed
-        self.steps = np.diff(steps, axis=0)
-        """Steps of each segment and scene, shape [segments, scenes]."""
+        self.steps = np.diff(steps, axis=0)  # of each segment and scene, shape [segments, scenes]
 
     def motion(self) -> tuple[Array, Array]:
         """Positions [m] and velocities [m/s] of the particles of all scenes, shape [blocks * lanes, D] each."""
@@ -249,8 +240,7 @@ class Tape:
         Layout.width, lanes]), settings of each scene (`settings`), faces (`face_adjoints`), holds of nodes
         (`hold_adjoints`) and the friction of the bed of each scene (`terrain_adjoints`), g / xi of its solids
         (`drag_adjoints`), and the share of the adjoints of each scene that were cut (`cut`). Raises WorkFailed where a
-        gradient grows without bound.
-        """
+        gradient grows without bound."""
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes
         history = aligned((int(self.steps.max()) + 1, len(batch.state), layout.history, lanes), real)

@@ -63,8 +63,7 @@ class Batch:
     one scene can be kept in a `file`. Raises InputError for more particles times frames than can be counted.
 
     The kernel itself records only positions, if every frame keeps them in memory. All else (few frames, a file, other
-    fields) is copied from the state between two calls of the kernel (`keep`).
-    """
+    fields) is copied from the state between two calls of the kernel (`keep`)."""
 
     def __init__(
         self,
@@ -191,8 +190,7 @@ class Batch:
 
     def add_contacts(self, real: np.dtype[Any]) -> None:
         """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold; the
-        beds of their terrains. Raises InputError for more faces than can be told apart.
-        """
+        beds of their terrains. Raises InputError for more faces than can be told apart."""
         scenes = self.scenes if self.features.contact else self.scenes[:1]
         obstacles, self.first_obstacles = obstacles_of(scenes)
         self.offsets[: len(scenes), Offset.GEOMETRY] = self.first_obstacles[:-1, 0]
@@ -381,8 +379,7 @@ class Batch:
         """Momentum that solids have taken up to each frame [N s, per metre of width in 2D], shape [frames, solids, D].
 
         The solids come in the order of the scene, baffles first; then, if asked for, the sides of the box, in the order
-        of `datasets.scene.DOMAIN_SIDES`, and the barriers.
-        """
+        of `datasets.scene.DOMAIN_SIDES`, and the barriers."""
         frames, first = self.scenes[index].frames, self.offsets[index, Offset.IMPULSE]
         solids = int(self.offsets[index, Offset.SOLIDS])
         recorded_impulse = self.recorded_impulse[first : first + frames * solids]

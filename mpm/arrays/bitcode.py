@@ -13,7 +13,7 @@ import subprocess
 import sys
 import zlib
 from collections.abc import Callable, Iterable, Sequence
-from functools import cache
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,7 @@ from typing import Any
 from mpm.arrays.features import NODE, REGISTER
 
 FILE = Path(__file__).with_name("vectors.bc")
-LAYOUT = "e-m:e-p270:32:32-p271:32:32-p272:64:64-i64:64-f80:128-n8:16:32:64-S128"
-"""Data layout of kernels on x86-64, so that LLVM does not warn."""
+LAYOUT = "e-m:e-p270:32:32-p271:32:32-p272:64:64-i64:64-f80:128-n8:16:32:64-S128"  # of x86-64: LLVM does not warn
 SIZES = {"f32": ("float", 4), "f64": ("double", 8)}  # by precision: LLVM's name of a number, and its bytes
 PAIR, ROW = 2 * NODE, 4 * NODE  # numbers of a pair, and of a row of `to_rows`: four nodes
 WIDE, BLOCK = 64, 16  # bytes of the widest vector register, and of the blocks within which single numbers move
@@ -122,11 +121,6 @@ def add_scaled(precision: str, name: str = "add_scaled", length: int = NODE) -> 
     return f
 
 
-def add_scaled_pair(precision: str) -> Function:
-    """The same for pairs."""
-    return add_scaled(precision, "add_scaled_pair", PAIR)
-
-
 def add_first_scaled(precision: str) -> Function:
     """total += scale times the first node of a pair."""
     f = Function("add_first_scaled", precision, total=NODE, scale=REAL, pair=PAIR)
@@ -186,18 +180,9 @@ def read_ahead(precision: str) -> Function:
     return f
 
 
-def to_rows(precision: str) -> Function:
-    """From ROW vectors of lanes at `source` make a row of ROW numbers of each lane at `target`."""
-    return turned("to_rows", precision)
-
-
-def to_lanes(precision: str) -> Function:
-    """The reverse."""
-    return turned("to_lanes", precision)
-
-
-def turned(name: str, precision: str) -> Function:
-    """`to_rows` or `to_lanes`: square by square of vectors as wide as a processor's."""
+def to_rows(precision: str, name: str = "to_rows") -> Function:
+    """From ROW vectors of lanes at `source` make a row of ROW numbers of each lane at `target`, or the reverse: square
+    by square of vectors as wide as a processor's."""
     f = Function(name, precision, source=ADDRESS, target=ADDRESS)
     lanes, width = REGISTER // f.bytes, WIDE // f.bytes
     source, target = f.read("source"), f.read("target")
@@ -240,8 +225,9 @@ def interleaved(f: Function, a: str, b: str, span: int, width: int) -> list[str]
     return vectors
 
 
-FUNCTIONS = (add_scaled, add_scaled_pair, add_first_scaled, pair_of, split, add_to_column, column_sums, read_ahead)
-MOVES = (to_rows, to_lanes)
+FUNCTIONS: list[Callable[[str], Function]] = [add_scaled, partial(add_scaled, name="add_scaled_pair", length=PAIR)]
+FUNCTIONS += [add_first_scaled, pair_of, split, add_to_column, column_sums, read_ahead, to_rows]
+FUNCTIONS += [partial(to_rows, name="to_lanes")]
 
 
 @cache
@@ -251,7 +237,7 @@ def template() -> str:
     for precision, length in product(SIZES, (NODE, PAIR)):
         kind = Function("", precision).kind(length)
         lines.append(f"declare {kind} @llvm.fmuladd.v{length}{precision}({kind}, {kind}, {kind})")
-    return "\n".join([*lines, *(make(precision).text() for precision in SIZES for make in (*FUNCTIONS, *MOVES))])
+    return "\n".join([*lines, *(make(precision).text() for precision in SIZES for make in FUNCTIONS)])
 
 
 @cache

@@ -25,8 +25,7 @@ NODE = 8  # numbers in a node, momentum, mass and force: a short vector, a power
 class Addresses:
     """Start of each of several consecutive parts of given lengths, by name; `size`: end of the last.
 
-    A part that the kernels do not need has length 0.
-    """
+    A part that the kernels do not need has length 0."""
 
     _data_oriented = True  # tells Taichi that a kernel may hold it as a compile-time Python object
 
@@ -254,8 +253,7 @@ def features_of(
 
 def drags_of(scene: Scene) -> list[float]:
     """g / xi [1/m] of each solid of a scene, in the order of their numbers; 0 for those without `turbulence`, and g
-    alone [m/s^2] for those whose xi varies (`drag_tables`).
-    """
+    alone [m/s^2] for those whose xi varies (`drag_tables`)."""
     coefficients = [*(baffle.turbulence for baffle in scene.baffles), *(solid.turbulence for solid in scene.solids)]
     fixed = [1.0 if isinstance(xi, tuple) else xi for xi in coefficients]
     return [0.0 if xi is None else scene.gravity / xi for xi in fixed]

@@ -19,8 +19,7 @@ def named(**groups: str) -> dict[str, Kind]:
     """Kind of each array by its name, from the names of each kind; a table has rank 2.
 
     A block is a vector of lanes, a node a short vector of `Features.node` numbers; a lane is a single number of such
-    blocks, in a second view of their memory.
-    """
+    blocks, in a second view of their memory."""
     kinds = {kind: (kind.removesuffix("_table"), 1 + kind.endswith("_table")) for kind in groups}
     return {name: kinds[kind] for kind, names in groups.items() for name in names.split()}
 
@@ -37,8 +36,7 @@ STEP = named(
     i64="addresses",
 )
 """The arrays of a step, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""
-RECORD = named(i32="order", f32="positions", f64="energy", f64_table="recorded_impulse")
-"""Further arrays for the end of a frame."""
+RECORD = named(i32="order", f32="positions", f64="energy", f64_table="recorded_impulse")  # for the end of a frame
 DEVICE = named(i32="owner", real_table="step_control")  # only for a GPU
 ADJOINT = named(
     block="adjoints history",
@@ -94,8 +92,7 @@ def kernel_of(
 
     body: of an `Arrays` that holds `features` and `constants` too, `first`, `last` and `phase`.
     optimised: whether Taichi simplifies the kernel before LLVM does, which takes half of the compilation. The results
-    are the same to the bit. The gain is a tenth of a dry step: loops do not look up the addresses of arrays.
-    """
+    are the same to the bit. The gain is a tenth of a dry step: loops do not look up the addresses of arrays."""
     real = ti.f32 if features.precision == "f32" else ti.f64
     block = real if features.processor.gpu else ti.types.vector(features.lanes, real)
     elements = {"block": block, "lane": real, "node": ti.types.vector(NODE, real), "real": real}

@@ -15,8 +15,7 @@ Precision = Literal["f32", "f64"]
 
 INDEX_LIMIT = 2**30  # numbers that an array of the particles may hold (`mpm.arrays.access.no_overflow`)
 PADDING = 3  # cells of grid beyond every wall: the support of a quadratic B-spline is one and a half to either side
-NODES_PER_PARTICLE, FEWEST_NODES = 2, 1024
-"""Initial number of nodes of a worker, at most those of its box; flows of two cells and more need fewer."""
+NODES_PER_PARTICLE, FEWEST_NODES = 2, 1024  # initially, of a worker; flows of two cells and more need fewer
 CACHE_LINE = 64  # bytes
 ALIGNMENT = 128  # bytes: loads of a whole vector of lanes fail on less
 GROWTH = 1.5  # new number of nodes of a worker that has too few, over those it needs
@@ -28,8 +27,7 @@ class Setting(IntEnum):
     CELL = 0  # [m]
     FRAME_DT = auto()  # [s]
     GRAVITY_X, GRAVITY_Y = auto(), auto()  # [m/s^2]
-    FLOOR_FRICTION = auto()  # [-]
-    WALL_FRICTION = auto()  # [-]
+    FLOOR_FRICTION, WALL_FRICTION = auto(), auto()  # [-]
     CONTACT_WIDTH = auto()  # width over which contact with a solid is spread [m]
     SEARCH_DISTANCE = auto()  # up to which the distance from solids must be known [m]
     DAMPING = auto()  # [-]
@@ -40,8 +38,7 @@ class Setting(IntEnum):
     SLOW_AFFINE = auto()  # C_s^2 of particles without stress (`mpm.physics.transfer`) [1/s^2]
     WAVE_SPEED = auto()  # the fastest of the scene's materials [m/s]
     RELAXATION_RATE = auto()  # of the velocity that the grid cannot represent [1/s]
-    MASS = auto()  # of all particles [kg, per metre of width in 2D]
-    WEIGHT = auto()  # of all particles [N, per metre of width in 2D]
+    MASS, WEIGHT = auto(), auto()  # of all particles [kg and N, per metre of width in 2D]
     REST_ENERGY = auto()  # kinetic energy that counts as none [J, per metre of width in 2D]
     WATER_MODULUS = auto()  # Q (`mpm.physics.water`) [Pa]
     WATER_DIFFUSION = auto()  # Q kappa [m^2/s]
@@ -53,8 +50,7 @@ class Setting(IntEnum):
 class Property(IntEnum):
     """First columns of `properties`, real, shape [scenes, columns]; of each particle where scenes are heterogeneous.
 
-    The columns of the material's law follow (`mpm.laws`).
-    """
+    The columns of the material's law follow (`mpm.laws`)."""
 
     VOLUME = 0  # initial [m^D]
     DENSITY = auto()  # [kg/m^3]
@@ -70,8 +66,7 @@ FRAMES_PER_CALL = 20  # most frames in a call of the kernel; after a call the pr
 class Offset(IntEnum):
     """Columns of `offsets`, integers, shape [scenes, len(Offset)]: where a scene lies in the flat arrays; counters."""
 
-    BLOCK = 0  # its first block of particles
-    PARTICLES = auto()  # how many
+    BLOCK, PARTICLES = 0, auto()  # its first block of particles, and how many these are
     CELLS_X, CELLS_Y, CELLS_Z = auto(), auto(), auto()
     RECORD = auto()  # the first of its particles in `positions`, -1 if the kernel records none
     WINDOW = auto()  # frames over which a deposit must have been at rest
@@ -95,12 +90,9 @@ class Offset(IntEnum):
     DONE = auto()  # completed steps of that frame: 0 unless it waits for room in the grid
     FRAME_STEPS = auto()  # how many that frame then has
     REST = auto()  # the frame in which it was found at rest, 0 while it moves
-    BARRIER = auto()  # its first line in `barriers`
-    BARRIERS = auto()  # how many
-    RETAINED = auto()  # its first line in `retained` and `settling`
-    RETAINED_COUNT = auto()  # how many
-    INFLOW = auto()  # its first line in `inflows`
-    INFLOWS = auto()  # how many
+    BARRIER, BARRIERS = auto(), auto()  # its first line in `barriers`, and how many
+    RETAINED, RETAINED_COUNT = auto(), auto()  # its first line in `retained` and `settling`, and how many
+    INFLOW, INFLOWS = auto(), auto()  # its first line in `inflows`, and how many
     ENTERED = auto()  # the frame by which all of its particles have entered; 0 without inflow
 
 
@@ -146,19 +138,13 @@ class Worker(IntEnum):
     """Columns of `workers`, integers, shape [workers, len(Worker)]: the part of a scene that one thread computes."""
 
     SCENE = 0
-    FIRST = auto()  # its blocks: [first, last)
-    LAST = auto()
-    NODE = auto()  # the first node of its part of `grid`
-    ROOM = auto()  # how many nodes that part has
+    FIRST, LAST = auto(), auto()  # its blocks: [first, last)
+    NODE, ROOM = auto(), auto()  # the first node of its part of `grid`, and how many nodes that part has
     USED = auto()  # how many its columns need; if those are more, the run waits for room
     COLUMN = auto()  # its first column in `bases` and `spans`
-    ACTIVE = auto()  # how many columns are in use,
-    LOWEST = auto()  # the lowest number of them in the box
-    HIGHEST = auto()  # and the highest
-    SCRATCH = auto()  # its first vector of `scratch`
-    IMPULSE = auto()  # its first vector of `impulse`
-    EVEN = auto()  # number of its even cells with water
-    ODD = auto()  # and of its odd ones
+    ACTIVE, LOWEST, HIGHEST = auto(), auto(), auto()  # how many columns are in use, the lowest and the highest number
+    SCRATCH, IMPULSE = auto(), auto()  # its first vector of `scratch` and of `impulse`
+    EVEN, ODD = auto(), auto()  # number of its even cells with water, and of its odd ones
 
 
 class Address(IntEnum):
@@ -243,8 +229,7 @@ class Barrier(IntEnum):
 class Retained(IntEnum):
     """Columns of `retained`, integers, shape [retained masses, len(Retained)]."""
 
-    FIRST = 0  # its particles: [first, last) of the scene's
-    LAST = auto()
+    FIRST, LAST = 0, auto()  # its particles: [first, last) of the scene's
     RELEASE = auto()  # the frame in which its barriers open; 0: when it has settled
     SETTLED_FRAMES = auto()  # frames in a row in which it was settled
     OPENED = auto()  # the frame in which its barriers opened; 0 while they are closed

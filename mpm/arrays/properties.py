@@ -46,8 +46,7 @@ def roughest(scene: Scene) -> float:
     Cohesionless sand bears a shear stress of at most tan(phi) times the pressure on any plane, and slides within itself
     beside a rougher surface. With a larger coefficient, the small pressure that rounding and jitter leave in sand
     falling beside a rough wall would hold the sand. Cohesion c needs no pressure: if it is large against the weight
-    rho g dx of a cell, nothing slides along a rough surface.
-    """
+    rho g dx of a cell, nothing slides along a rough surface."""
     materials = [scene.material_of(mass) for mass in scene.masses]
     steepest = max(max(math.radians(material.phi_deg), math.asin(material.sin_phi_limit)) for material in materials)
     grip = max(DRY_GRIP, math.tan(steepest))
@@ -107,8 +106,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
 
 def drag_tables(scenes: Sequence[Scene], real: np.dtype[Any]) -> tuple[Array, Array, Array]:
     """`drags_of` the solids of each scene [scenes, S]; the start of the posts of each solid whose xi varies, else 0, of
-    the same shape; for these solids x and posts per length, z and posts per length, their numbers and 1 / xi.
-    """
+    the same shape; for these solids x and posts per length, z and posts per length, their numbers and 1 / xi."""
     drags = [drags_of(scene) for scene in scenes]
     table = np.zeros((len(scenes), max(1, *map(len, drags))), real)
     places, posts = np.zeros(table.shape, np.int32), [np.zeros(1)]
@@ -158,8 +156,7 @@ def properties_of(particles: Particles) -> Array:
 def properties_at(material: Material, depth: Array, friction_deg: Array | None = None, *, volume: float = 1.0) -> Array:
     """Lines of `properties` of particles `depth` [m] below the top of their body, shape [N]; [N, columns].
 
-    friction_deg: of each of them, shape [N], in place of the material's.
-    """
+    friction_deg: of each of them, shape [N], in place of the material's."""
     values = {
         Property.VOLUME: volume,
         Property.DENSITY: material.density,
@@ -174,8 +171,7 @@ def properties_at(material: Material, depth: Array, friction_deg: Array | None =
 
 def initial_gaps(scene: Scene, particles: Particles) -> Array:
     """K e [Pa] of particles at the start, shape [N, 1]. A body in flight starts with a tiny gap, which then follows the
-    grid: without it, the nodes of a floor would carry the body up to a cell above the floor.
-    """
+    grid: without it, the nodes of a floor would carry the body up to a cell above the floor."""
     gaps = np.zeros((len(particles.positions), 1))
     if remembers_gaps(scene) and particles.entry_time is None and not saturated(scene):
         values = properties_of(particles)

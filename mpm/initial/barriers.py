@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.geometry.bodies import filling
+from datasets.geometry.ground import plan_axes
 from datasets.scene import INFLOW, TOLERANCE, Mass, Scene
 from datasets.scene.particles import Particles
 from mpm.arrays.layout import PADDING, Barrier, Inflow, Offset, Retained, Settling
+from mpm.initial.slope import meet_in_plan
 from mpm.physics.barriers import ENERGY, FORCE
 from mpm.physics.inflow import NEVER
 
@@ -27,45 +29,31 @@ Range = NDArray[np.int32]  # indices of nodes, [low, high) per axis, shape [2, D
 
 def barriers(scene: Scene, mass: Mass) -> list[tuple[int, Range]]:
     """For a barrier at each lateral face of `mass` in the box: the axis across it, and the nodes that it holds."""
-    standing = []
-    lowest = [floor_node(scene, length) - BEYOND for length in mass.lower]
-    highest = [ceiling_node(scene, a + b) + BEYOND + 1 for a, b in zip(mass.lower, mass.size, strict=True)]
-    if any(lies_below(other, mass, BEYOND * scene.domain.cell) for other in scene.masses):
-        # Its barriers are its own.
-        lowest[1] = ceiling_node(scene, mass.lower[1])
-    for axis in (0, 2)[: scene.dimension - 1]:
+    standing, foot, reach = [], mass.lower[1], BEYOND * scene.domain.cell
+    around = nodes_of(scene, mass, BEYOND)
+    for other in scene.masses:
+        begins, ends = other.lower[1], other.lower[1] + other.size[1]
+        if meet_in_plan(other, mass, reach) and begins < foot - TOLERANCE and ends > foot - reach:
+            # The barriers of a mass just below are its own.
+            around[0, 1] = PADDING + np.ceil((foot - TOLERANCE) / scene.domain.cell)
+    for axis in plan_axes(scene.dimension):
         low, high = mass.lower[axis], mass.lower[axis] + mass.size[axis]
-        first, last = floor_node(scene, low), ceiling_node(scene, high)
-        low_side = low > TOLERANCE, (first - BEYOND, first + 1)
-        high_side = high < scene.domain.size[axis] - TOLERANCE, (last, last + BEYOND + 1)
+        first, end = around[:, axis].tolist()
+        low_side = low > TOLERANCE, (first, first + BEYOND + 1)
+        high_side = high < scene.domain.size[axis] - TOLERANCE, (end - BEYOND - 1, end)
         for stands, rows in (low_side, high_side):
             if stands:
-                nodes = np.array([lowest, highest], np.int32)
+                nodes = around.copy()
                 nodes[:, axis] = rows
                 standing.append((axis, nodes))
     return standing
 
 
-def lies_below(other: Mass, mass: Mass, reach: float) -> bool:
-    """Whether the top of another mass is below the foot of `mass`, within `reach` [m]."""
-    sides = [axis for axis in range(len(mass.lower)) if axis != 1]
-    within = all(
-        other.lower[axis] < mass.lower[axis] + mass.size[axis] + reach
-        and mass.lower[axis] < other.lower[axis] + other.size[axis] + reach
-        for axis in sides
-    )
-    foot, top = mass.lower[1], other.lower[1] + other.size[1]
-    return within and other.lower[1] < foot - TOLERANCE and top > foot - reach
-
-
-def floor_node(scene: Scene, length: float) -> int:
-    """The last node at or before a coordinate [m]."""
-    return PADDING + int(np.floor((length + TOLERANCE) / scene.domain.cell))
-
-
-def ceiling_node(scene: Scene, length: float) -> int:
-    """The first node at or after a coordinate [m]."""
-    return PADDING + int(np.ceil((length - TOLERANCE) / scene.domain.cell))
+def nodes_of(scene: Scene, mass: Mass, beyond: int = 0) -> Range:
+    """The nodes in the box of a mass and so many more on each side."""
+    first = np.floor((np.array(mass.lower) + TOLERANCE) / scene.domain.cell) - beyond
+    last = np.ceil((np.add(mass.lower, mass.size) - TOLERANCE) / scene.domain.cell) + beyond
+    return np.array([PADDING + first, PADDING + last + 1], np.int32)
 
 
 def held_tables(
@@ -92,17 +80,14 @@ def barrier_tables(
 ) -> tuple[list[list[int]], list[list[int]], list[list[float]]]:
     """Lines of `barriers`, `retained` and `settling`, in the order of `Barrier`, `Retained` and `Settling`.
 
-    The latter two have one line for each retained mass of `scene`, starting with line `first`.
-    """
+    The latter two have one line for each retained mass of `scene`, starting with line `first`."""
     held: list[list[int]] = []
     retained: list[list[int]] = []
     settling: list[list[float]] = []
     for index, mass in retained_masses(scene).items():
         standing = barriers(scene, mass)
         if mass.release == "settled":
-            low = [floor_node(scene, length) for length in mass.lower]
-            high = [ceiling_node(scene, a + b) + 1 for a, b in zip(mass.lower, mass.size, strict=True)]
-            standing.append((len(Barrier), np.array([low, high], np.int32)))
+            standing.append((len(Barrier), nodes_of(scene, mass)))
         for axis, nodes in standing:
             padded = np.pad(nodes, ((0, 0), (0, 3 - scene.dimension)))
             held.append([first + len(retained), axis, *padded[0].tolist(), *padded[1].tolist()])

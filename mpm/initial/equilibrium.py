@@ -11,6 +11,7 @@ from scipy.sparse.linalg import splu
 
 from datasets.errors import require
 from datasets.geometry.bodies import scene_height
+from datasets.geometry.ground import plan_axes
 from datasets.scene import DOMAIN_SIDES, Scene, coefficient
 from datasets.scene.particles import Particles
 from mpm.arrays.layout import PADDING, Property
@@ -75,13 +76,12 @@ class Equilibrium:
         touches = len(self.contact.touching) > 0 or (scene.slope_deg != 0.0 and self.friction == 0.0)
         self.loose_inertia = INERTIA * slowest**2 * self.mass[:, None]
         self.inertia = self.loose_inertia if touches else np.zeros((len(self.mass), 1))
-        self.level = [axis for axis in range(self.dimension) if axis != 1]
+        self.level = plan_axes(self.dimension)
         self.slip, self.slid = np.zeros((2, *self.nodes.shape))
 
     def carry(self, scene: Scene, positions: Floats, pressure: Floats, slope: Floats) -> None:
         """Let water with the pore `pressure` [Pa], shape [N], and its `slope` in space [Pa/m], [N, D], carry its part
-        at the `positions` [m], [N, D]: stresses are then effective. `Water.fixed` exerts only that slope.
-        """
+        at the `positions` [m], [N, D]: stresses are then effective. `Water.fixed` exerts only that slope."""
         if scene.water is not None and scene.water.fixed:
             self.gravity = self.gravity - self.weights.T @ (self.volume[:, None] * slope)
             return
@@ -105,8 +105,7 @@ class Equilibrium:
 
     def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
         """Find which components of nodes are free, [n, D]; where walls of the box push, 1 towards + and -1 towards -,
-        and where barriers hold, [n, D]; and which nodes a rough floor holds completely, [n].
-        """
+        and where barriers hold, [n, D]; and which nodes a rough floor holds completely, [n]."""
         self.walls = walls = np.zeros(self.nodes.shape, np.int8)
         self.behind_barriers = np.zeros(self.nodes.shape, bool)
         covered = covered_at(scene, self.nodes)
@@ -183,8 +182,7 @@ class Equilibrium:
         """`stress` [Pa], [N, 3, 3], of layers on a slope, after the grains have taken its unbalanced forces.
 
         traction: shear traction of the ground [Pa], [M, D]. The force that accelerates the layers as a whole stays. The
-        friction of the floor of the box on its nodes is the share of their load that `stress` has there.
-        """
+        friction of the floor of the box on its nodes is the share of their load that `stress` has there."""
         floor, across = self.walls[:, 1] == 1, self.weights.T @ (self.volume[:, None] * stress[:, :, 1])
         share = np.divide(across, -across[:, [1]], out=np.zeros_like(across), where=across[:, [1]] < 0.0)
         self.friction, self.slip[:, self.level] = 1.0, np.where(floor[:, None], share[:, self.level], 0.0)
@@ -209,8 +207,7 @@ class Equilibrium:
         """Free the nodes that a rough floor would have to hold by more than its friction; whether any node changes.
 
         Friction acts against the force on these nodes (`slip`: unit vectors, [n, D]) until the displacements of the
-        iterations [m], [n, D], bring them back: then the floor holds them again.
-        """
+        iterations [m], [n, D], bring them back: then the floor holds them again."""
         force = self.unbalanced(stress, tractions)
         along = np.where(self.free, 0.0, force)
         along[:, 1] = 0.0
@@ -232,8 +229,7 @@ class Equilibrium:
     def warn(self, stress: Floats) -> None:
         """Warn of the share of the weight that a solution leaves unbalanced, if that is more than single particles.
 
-        It counts unbalanced nodal forces and forces that no wall takes: tension, and shear beyond friction.
-        """
+        It counts unbalanced nodal forces and forces that no wall takes: tension, and shear beyond friction."""
         force = self.unbalanced(stress, self.contact.traction)
         loose = np.abs(force[self.free]).sum()
         push = -force * self.walls
@@ -281,8 +277,7 @@ class Equilibrium:
     def response(self, displacements: Floats) -> tuple[Floats, Floats]:
         """The same in D dimensions, its columns one after the other, [D, N, D]; and theta lambda tr(C), [N].
 
-        It is symmetric: it does not matter that copying exchanges rows and columns.
-        """
+        It is symmetric: it does not matter that copying exchanges rows and columns."""
         gradient = (self.slopes @ displacements).reshape(self.dimension, -1, self.dimension)
         added = self.contact.gradient(displacements)[:, : self.dimension, : self.dimension]
         gradient[:, self.contact.touching] += np.moveaxis(added, 2, 0)

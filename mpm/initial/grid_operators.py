@@ -28,8 +28,7 @@ HELD, HALF = 1.0 - 1.0e-9, 0.5 - 1.0e-9  # shares from which solids hold a node 
 def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, Integers]:
     """Weights w_ip, shape [N, n]; slopes (4 / dx^2) w_ip x_ip, axis by axis, [D N, n]; nodes, [n, D].
 
-    Only the n nodes in the support of particles; indices count from the first padding node, as in the kernel.
-    """
+    Only the n nodes in the support of particles; indices count from the first padding node, as in the kernel."""
     nodes, weight, offset = support(scene, positions)
     cell, shape = scene.domain.cell, node_shape(scene.domain)
     supports = np.zeros(np.prod(shape), bool)
@@ -72,12 +71,11 @@ class ContactOperator:
             rows = slopes[axis * count : (axis + 1) * count].tocsr()[self.touching]
             foot = foot - sparse.diags_array(lever[:, axis]) @ rows
         self.foot = foot.tocsr()
-        self.traction = np.zeros((len(self.touching), dimension))
-        """Shear traction q [Pa], shape [M, D]."""
+        self.traction = np.zeros((len(self.touching), dimension))  # shear traction q [Pa], shape [M, D]
+        # Of the nodes that solids hold normals and frictions, [n, D] and [n], and the components that faces across an
+        # axis hold, [n, D]; `fixed_components` finds them.
         self.normals, self.frictions = np.zeros((weights.shape[1], dimension)), np.zeros(weights.shape[1])
-        """Normals and frictions of the solids that hold nodes, [n, D] and [n]; `fixed_components` finds them."""
         self.across_axes = np.zeros((weights.shape[1], dimension), bool)
-        """Components of nodes held by faces across an axis, [n, D]; `fixed_components` finds these, too."""
 
     def gradient(self, displacements: Floats) -> Floats:
         """Part of contact in the displacement gradient [-], [M, 3, 3], for nodal displacements [m], shape [n, D]."""
@@ -118,8 +116,7 @@ class ContactOperator:
 
         Faces across an axis hold that component if they hold it completely: held in part, it gives way in the run until
         its particles bear it. Oblique faces hold all components from a share of half on, since such a node lies deep,
-        in the support of only the first row; a body may also slide on them, and force beyond friction remains.
-        """
+        in the support of only the first row; a body may also slide on them, and force beyond friction remains."""
         solid = contact_surface_of(scene)
         if solid is None:
             return np.zeros(nodes.shape, bool)

@@ -36,7 +36,8 @@ RELEASES = 5  # how often nodes are freed
 
 
 class WithThrust:
-    """The set E of an equilibrium and the thrusts of its geostatic boxes; N chosen particles."""
+    """The set E of an equilibrium, whose stiffness it changes, and the thrusts of its geostatic boxes; N chosen
+    particles."""
 
     def __init__(self, problem: Equilibrium, scene: Scene, mass: NDArray[np.int32], guess: Floats) -> None:
         """mass: index of the mass of each chosen particle, [N]; guess: geostatic stress of these thrusts, [N, 3, 3]."""
@@ -84,7 +85,8 @@ class WithThrust:
         return stress + self.correction
 
     def sought(self, start: Floats) -> Floats:
-        """The best admitted stress of E, [N, 3, 3], found from `start`, without tension on walls."""
+        """An admitted stress of E, [N, 3, 3], found from `start`, or the best within ITERATIONS; frees the nodes that
+        walls would have to pull."""
         problem, releases = self.problem, RELEASES
         best, smallest, patience, moving = start, np.inf, PATIENCE, start
         for step in range(ITERATIONS):
@@ -113,12 +115,3 @@ class WithThrust:
             reflected[changed] = in_axes(axes[changed], nearest[changed])
             moving = moving + RELAXED * (reflected - stress)
         return best
-
-
-def with_thrusts(problem: Equilibrium, scene: Scene, mass: NDArray[np.int32], start: Floats, guess: Floats) -> Floats:
-    """The stress of the chosen particles, [N, 3, 3], in equilibrium with the thrusts of `guess`, found from `start`.
-
-    If there is none within ITERATIONS, the best admitted one. Changes the stiffness of `problem`, and frees the nodes
-    that walls would have to pull. mass: as in `WithThrust`.
-    """
-    return WithThrust(problem, scene, mass, guess).sought(start)

@@ -43,9 +43,7 @@ def begins_as_slope(scene: Scene, mass: Mass) -> bool:
         inclined = tilted or any(solid.kind == "terrain" for solid in scene.solids)
         return inclined and (mass.kind == "layer" or follows_ground(scene, mass))
     stacked = all(
-        lies_flat(scene, other) and foundation(scene, other) is not None
-        for other in scene.masses
-        if above(other, mass, scene) and other.lower[1] > mass.lower[1]
+        lies_flat(scene, other) and foundation(scene, other) is not None for other in scene.masses if above(other, mass)
     )
     return tilted and stacked and foundation(scene, mass) is not None
 
@@ -112,8 +110,7 @@ def foundation(scene: Scene, mass: Mass) -> Mass | None:
 
 def level_ground(scene: Scene, plan: Floats, foot: float) -> tuple[Floats, Floats]:
     """Elevation [m] of ground and Coulomb coefficient at places in plan [m], [N, D - 1]: floor, terrain, or boxes and
-    baffles whose tops are at `foot` [m]. Each of shape [N].
-    """
+    baffles whose tops are at `foot` [m]. Each of shape [N]."""
     level, floor = plan_axes(scene.dimension), coefficient(scene.floor_friction)
     elevation, friction, top = highest(scene.solids, scene.domain, plan, floor)
     stuck = np.array([*(solid.contact == "no-slip" for solid in scene.solids), False])[top]
@@ -136,12 +133,17 @@ def within(plan: Floats, box: Mass | Baffle | Solid, level: list[int]) -> NDArra
     return np.asarray(((plan >= low - TOLERANCE) & (plan <= low + size + TOLERANCE)).all(axis=1))
 
 
-def above(other: Mass, mass: Mass, scene: Scene) -> bool:
-    """Whether another mass lies over a part of `mass` in plan."""
-    return other is not mass and all(
-        other.lower[axis] < mass.lower[axis] + mass.size[axis] - TOLERANCE
-        and mass.lower[axis] < other.lower[axis] + other.size[axis] - TOLERANCE
-        for axis in plan_axes(scene.dimension)
+def above(other: Mass, mass: Mass) -> bool:
+    """Whether another mass begins above the foot of `mass`, over a part of it in plan."""
+    return other.lower[1] > mass.lower[1] and meet_in_plan(other, mass, -TOLERANCE)
+
+
+def meet_in_plan(one: Mass, other: Mass, reach: float) -> bool:
+    """Whether two masses overlap in plan, or are within `reach` [m] of it."""
+    return all(
+        one.lower[axis] < other.lower[axis] + other.size[axis] + reach
+        and other.lower[axis] < one.lower[axis] + one.size[axis] + reach
+        for axis in plan_axes(len(one.lower))
     )
 
 
@@ -149,8 +151,7 @@ def slope_stress(scene: Scene, particles: Particles, positions: Floats, share: F
     """Stress [Pa], [N, 3, 3], of particles at `positions` [m], [N, D], and shear traction of the ground on them [Pa],
     [N, D]; 0 in masses that do not begin as a slope. A field of friction is not considered.
 
-    share: part of the normal stress that grains bear beside water, [N]; None: all.
-    """
+    share: part of the normal stress that grains bear beside water, [N]; None: all."""
     stress, traction = np.zeros((len(positions), 3, 3)), np.zeros(positions.shape)
     for number, mass in enumerate(scene.masses):
         if not begins_as_slope(scene, mass):
@@ -194,7 +195,7 @@ def mass_above(scene: Scene, mass: Mass, positions: Floats) -> Floats:
     total = np.zeros(len(positions))
     level = plan_axes(scene.dimension)
     for other in scene.masses if mass.kind == "box" else ():
-        if above(other, mass, scene) and other.lower[1] > mass.lower[1]:
+        if above(other, mass):
             total += scene.material_of(other).density * other.size[1] * within(positions[:, level], other, level)
     return total
 

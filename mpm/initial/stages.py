@@ -61,8 +61,7 @@ def next_stage(batch: Batch, index: int) -> Stage | None:
 def call_end(batch: Batch, first: int) -> int:
     """The frame before which a call that begins with `first` must end, so that stages can begin.
 
-    While a scene waits for a stage, and for a window of frames after the last, it does not count as at rest.
-    """
+    While a scene waits for a stage, and for a window of frames after the last, it does not count as at rest."""
     end = INDEX_LIMIT
     for index, scene in enumerate(batch.scenes):
         if not scene.stages:

@@ -1,15 +1,8 @@
 """The initial stress of masses: geostatic or elastic, in equilibrium with gravity on the grid itself.
 
-docs/theory/initial-stress.md gives the method and its sources.
-
-**First guess.** A mass with a number K0 (`Mass.k0`) begins geostatic: with the overburden q [Pa] above a particle, from
-its own material and the masses stacked on it, sigma_yy = -q and sigma_xx = sigma_zz = -K0 q (tension positive, y normal
-to the floor). An "elastic" mass begins with the stress of an infinite slope if it lies flat on inclined ground
-(`mpm.initial.slope`), else without stress. On the grid, with jittered particles, the nodal forces of
-`mpm.physics.transfer` then differ from the weight by as much as the weight itself.
-
-**Correction.** The smallest change of stress, in elastic energy, that restores equilibrium derives from nodal
-displacements u through the gradient that the kernel uses,
+docs/theory/initial-stress.md gives the method and its sources: a first guess, geostatic (tension positive, y normal to
+the floor) or that of an infinite slope (`mpm.initial.slope`), and its correction within yield. The smallest change of
+stress, in elastic energy, that restores equilibrium derives from nodal displacements u through the kernel's gradient,
 
     C_p = (4 / dx^2) sum_i w_ip u_i x_ip^T,   dsigma_p = theta_p [lambda tr(C) I + 2 mu sym(C)]
 
@@ -19,12 +12,8 @@ would have to pull, nor across a barrier (`mpm.initial.barriers`). Under an elas
 completely, unless that needs more than friction: then it slips, and friction acts on it as a force. A geostatic box
 stands between smooth barriers on all its lateral faces; rough ground holds a geostatic layer like an elastic mass.
 Solids push as in `mpm.physics.contact`, whose law is part of C_p and of K, with shear tractions where they are rough
-and hold a mass. Where bodies touch solids, or slip, K has a little inertia (`INERTIA`).
-
-**Yield.** Where the corrected stress violates the tension limit, the principal stresses beyond it are cut; where it
-violates the law, it is then scaled towards its own mean stress until it does not. The unbalanced forces are distributed
-again (Zienkiewicz, Valliappan & King 1969), with theta_p reduced to a tenth for every particle that yielded, so that
-the others take the load, as with a tangent stiffness.
+and hold a mass. Where bodies touch solids, or slip, K has a little inertia (`INERTIA`). Where particles yield, theta_p
+is reduced to a tenth, so that the others take the load, as with a tangent stiffness.
 
 **Solver.** K is never assembled. Conjugate gradients are preconditioned by the diagonal and, where K is worst, by a
 sparse LU of the block of nodes with few particles (surfaces and edges); in 2D of all nodes. Everything is in f64.
@@ -35,11 +24,12 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.geometry.ground import plan_axes
 from datasets.scene import TOLERANCE, Mass, Scene, keyed
 from datasets.scene.particles import Particles
 from mpm.initial.equilibrium import Equilibrium
 from mpm.initial.grid_operators import clings
-from mpm.initial.limit_states import with_thrusts
+from mpm.initial.limit_states import WithThrust
 from mpm.initial.slope import slope_stress
 
 Floats = NDArray[np.float64]
@@ -54,8 +44,7 @@ def initial_tractions(
     the shear traction of the solid that it touches [Pa], shape [N, D]. In masses without `k0` it is that of
     `mpm.initial.slope`, or zero. `positions` [m], shape [N, D]: the particles' positions as the solver rounds them, if
     that matters. Warns in one line if no equilibrium within the yield surface was found. water: the result of
-    `mpm.initial.water`, if there is any; the stress is then the effective one.
-    """
+    `mpm.initial.water`, if there is any; the stress is then the effective one."""
     dimension = scene.dimension
     rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
     stress, shear = slope_stress(scene, particles, rounded, None if water is None else water[0][:, 2])
@@ -81,7 +70,8 @@ def initial_tractions(
             stress[chosen] = problem.solution(guess[chosen])
         lacking = lateral_shortfall(scene, particles, guess, stress)
         if any(boxes) and (alone or np.abs(lacking).max() > NEAR):
-            stress[chosen] = with_thrusts(problem, scene, particles.mass[chosen], stress[chosen], guess[chosen])
+            convex = WithThrust(problem, scene, particles.mass[chosen], guess[chosen])
+            stress[chosen] = convex.sought(stress[chosen])
             lacking = lateral_shortfall(scene, particles, guess, stress)
         problem.warn(stress[chosen])
         warn_of_ratio(scene, particles, lacking)
@@ -106,15 +96,14 @@ def lateral_shortfall(scene: Scene, particles: Particles, guess: Floats, stress:
     """Share of the level stresses of `guess` that `stress` lacks, on average over a mass [-], [N, 3, 3].
 
     For boxes with a number for `k0`, between smooth walls, this mean is the thrust through each section, whatever the
-    jitter of single particles (virtual work of a uniform strain). 0 elsewhere.
-    """
+    jitter of single particles (virtual work of a uniform strain). 0 elsewhere."""
     lacking = np.zeros_like(stress)
     for number, mass in enumerate(scene.masses):
         if mass.k0 is None or clings(mass):
             continue
         of_mass = particles.mass == number
         volume = particles.volume[of_mass]
-        for axis in (0, 2)[: scene.dimension - 1]:
+        for axis in plan_axes(scene.dimension):
             required, thrust = (float(volume @ tensors[of_mass, axis, axis]) for tensors in (guess, stress))
             lacking[of_mass, axis, axis] = 1.0 - thrust / required if required < 0.0 else 0.0
     return lacking
@@ -133,12 +122,11 @@ def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Fl
     """Weight per area above `positions` in `mass` [Pa], shape [n], `depth` [m] below its surface.
 
     It includes masses that rest on `mass` without a gap and have a `k0`: others carry no stress yet and so press on
-    nothing.
-    """
+    nothing."""
     gravity = -scene.gravity_vector[1]
     top = positions[:, 1] + depth if mass.kind != "box" else np.full(len(positions), mass.lower[1] + mass.size[1])
     load = scene.material_of(mass).density * (top - positions[:, 1])
-    level = [axis for axis in range(scene.dimension) if axis != 1]
+    level = plan_axes(scene.dimension)
     for above in sorted(scene.masses, key=lambda other: other.lower[1]):
         if above is mass or above.k0 is None:
             continue

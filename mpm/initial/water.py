@@ -39,6 +39,7 @@ from mpm.initial.slope import begins_as_slope, ground_beneath, mass_above, sides
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
+Known = Mapping[tuple[int, float], Booleans] | None  # for an axis and a side, 1 or -1, at which of N places, [N]
 
 HALVINGS = 12  # halvings of a cell to locate a face
 BEYOND = 0.1  # cells beyond a face at which the material there is looked up
@@ -47,8 +48,7 @@ BEYOND = 0.1  # cells beyond a face at which the material there is looked up
 def initial_water(scene: Scene, particles: Particles, near: Booleans | None = None) -> tuple[Floats, Floats]:
     """p [Pa] of each particle, 1 where water fills its pores and else 0, and the share of the normal stress that grains
     bear [-], shape [N, 3]; and grad p [Pa/m], shape [N, D]. near: in flows, the particles beside surfaces, which need
-    it, [N]; None: all. Raises InputError for a saturated mass without an initial stress.
-    """
+    it, [N]; None: all. Raises InputError for a saturated mass without an initial stress."""
     positions = particles.positions
     pressure, wet, share = np.zeros((3, len(positions)))
     share += 1.0
@@ -84,8 +84,7 @@ def pressure_in(scene: Scene, mass: Mass, positions: Floats) -> tuple[Floats, Bo
 
 def stresses(scene: Scene, mass: Mass, positions: Floats) -> Floats:
     """Total stress sigma, without the weight of a pool, and p at `positions` [m], [N, D], in and beside a mass [Pa],
-    shape [2, N]: below 0 where they are above its top or the water table, NaN where it is not in plan.
-    """
+    shape [2, N]: below 0 where they are above its top or the water table, NaN where it is not in plan."""
     # Imported here: it needs a sparse solver.
     from mpm.initial.stress import overburden
 
@@ -125,8 +124,7 @@ def normal_weight(scene: Scene, normal: Floats) -> Floats:
 def weight_in_sheet(scene: Scene, mass: Mass, plan: Floats, across: Floats) -> Floats:
     """Growth of p / rho_w per vertical depth in a sheet [m/s^2], over places in plan [m], [N, D - 1]: below a pool as
     in water at rest, else as in water that flows along its table, or along the ground where that is lower. `across`
-    [m/s^2], [N]: the value along the ground. p is continuous: the transition spans a height of the sheet. [N].
-    """
+    [m/s^2], [N]: the value along the ground. p is continuous: the transition spans a height of the sheet. [N]."""
     water, down, tall = scene.water or Water(), -scene.gravity_vector[1], height(scene, mass)
     surface, top = np.full(len(plan), down), column_top(scene, mass, plan)
     if water.table is not None:
@@ -229,14 +227,10 @@ def force_slope(scene: Scene, mass: Mass, positions: Floats) -> Floats:
 def pressure_and_falls(scene: Scene, mass: Mass, positions: Floats) -> tuple[Floats, dict[tuple[int, float], Floats]]:
     """grad p at `positions` [m], [N, D], in a mass [Pa/m], [N, D], and for each level axis and side, 1 or -1, [3, N]:
     1 where within a cell there is a free face and 2 where there is another mass with water, else 0; the fall J of p
-    across it [Pa]; and what p is less by, J (1 - d / h) [Pa].
-    """
-    faces = free_faces(scene, mass, positions)
-    function = partial(stresses, scene, mass)
-    pressure = function(positions)[1]
-    slopes = gradient(
-        function, positions, 0.5 * scene.domain.cell, {key: ~free for key, (free, _, _) in faces.items()}
-    )[1]
+    across it [Pa]; and what p is less by, J (1 - d / h) [Pa]."""
+    faces, function = free_faces(scene, mass, positions), partial(stresses, scene, mass)
+    pressure, known = function(positions)[1], {key: ~free for key, (free, _, _) in faces.items()}
+    slopes = gradient(function, positions, 0.5 * scene.domain.cell, known)[1]
     falls = {}
     for (axis, side), (free, distance, beyond) in faces.items():
         at_face = np.maximum(pressure[free] + side * slopes[free, axis] * distance[free], 0.0)
@@ -251,8 +245,7 @@ def pressure_and_falls(scene: Scene, mass: Mass, positions: Floats) -> tuple[Flo
 def free_faces(scene: Scene, mass: Mass, positions: Floats) -> dict[tuple[int, float], tuple[Booleans, Floats, Floats]]:
     """For each level axis and side, 1 or -1: which of `positions` [m], [N, D], in a mass are less than a cell from its
     top or its outline there, with neither a solid nor a wall of the box behind, [N]; how far it is [m], [N]; and a
-    place beyond [m], [N, D].
-    """
+    place beyond [m], [N, D]."""
     faces, cell = {}, scene.domain.cell
     for axis in plan_axes(scene.dimension):
         for side in (-1.0, 1.0):
@@ -308,21 +301,15 @@ def pressure_beyond(scene: Scene, mass: Mass, beyond: Floats) -> Floats:
     return np.stack([-DENSITY * scene.gravity_vector[1] * depth, inner])
 
 
-def gradient(
-    function: Callable[[Floats], Floats],
-    positions: Floats,
-    step: float,
-    known: Mapping[tuple[int, float], Booleans] | None = None,
-) -> Floats:
+def gradient(function: Callable[[Floats], Floats], positions: Floats, step: float, known: Known = None) -> Floats:
     """Gradient of function(positions) [..., N] by differences over `step` [m], central where possible; [..., N, D].
-    known: for an axis and a side, 1 or -1, where the function is known on that side, [N]."""
+    known: where the function is known on that side; None: everywhere."""
     here, slopes, everywhere = function(positions), [], np.ones(len(positions), bool)
     for axis, direction in enumerate(step * np.eye(positions.shape[1])):
         ends = [function(positions + side * direction) for side in (-1.0, 1.0)]
         finite = [np.isfinite(end) for end in ends]
-        inner = [
-            end & (known or {}).get((axis, side), everywhere) for end, side in zip(finite, (-1.0, 1.0), strict=True)
-        ]
+        there = [(known or {}).get((axis, side), everywhere) for side in (-1.0, 1.0)]
+        inner = [end & seen for end, seen in zip(finite, there, strict=True)]
         # Where it is known neither way, the values beyond are better than none.
         low, high = (one | (end & ~(inner[0] | inner[1])) for one, end in zip(inner, finite, strict=True))
         rise = np.where(high, ends[1], here) - np.where(low, ends[0], here)

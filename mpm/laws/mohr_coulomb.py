@@ -107,8 +107,7 @@ def columns(features: Any) -> list[Column]:
 def properties(material: Material, depth: Floats, friction_deg: Floats | None) -> Floats:
     """Columns of particles at `depth` [m] below the top of their body, shape [N]; [N, len(Column)].
 
-    friction_deg: of each particle, shape [N], in place of the material's; a residual angle stays.
-    """
+    friction_deg: of each particle, shape [N], in place of the material's; a residual angle stays."""
     values: dict[Column, Any] = {
         Column.SIN_PSI: math.sin(math.radians(material.dilation_deg)),
         Column.SOFTENING: math.sqrt(3.0) / material.softening_length if material.softening_length else 0.0,
@@ -155,8 +154,7 @@ def limit(rows: Floats) -> Floats:
 def admitted_share(mean: Floats, deviators: Floats, rows: Floats) -> Floats:
     """The factor by which a deviator is admitted at its mean stress [Pa], shape [N]; 1 and more: unchanged.
 
-    deviators: its principal values [Pa], ascending, shape [N, 3].
-    """
+    deviators: its principal values [Pa], ascending, shape [N, 3]."""
     sin_phi, strength, largest = rows[:, Column.SIN_PHI], rows[:, Column.STRENGTH], deviators[:, 2]
     shear = excess_over.__wrapped__(largest, deviators[:, 0], sin_phi, 0.0)
     return np.minimum(quotient(strength - 2.0 * sin_phi * mean, shear), quotient(rows[:, Column.LIMIT] - mean, largest))
@@ -171,8 +169,7 @@ def nearest(principal: Floats, rows: Floats) -> Floats:
     """The admitted principal stresses [Pa] nearest to given ones, ascending, [N, 3]: Mohr-Coulomb, then the cutoff.
 
     a >= b >= c with F(a, c) <= 0: projected onto that plane if b then lies between a and c; else with the two stresses
-    that would pass each other set equal.
-    """
+    that would pass each other set equal."""
     c, b, a = principal.T
     sin_phi, tension = (1.0 - REDUCED) * rows[:, Column.SIN_PHI], rows[:, Column.LIMIT]
     upper, lower = 1.0 + sin_phi, 1.0 - sin_phi

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.files import reading
 from datasets.flow.array_files import read_arrays, write_npz
 from datasets.scene import Scene
@@ -45,8 +45,7 @@ class Checkpoint:
     def restore(self, batch: "Batch") -> None:
         """Bring a batch of one scene from its start to the end of this run.
 
-        Raises InputError if the run belongs to another scene, recording or precision.
-        """
+        Raises InputError if the run belongs to another scene, recording or precision."""
         if self.run != described(batch.scenes[0], batch.recording, batch.features.precision):
             raise InputError("expected the run of the checkpoint, got another scene, recording or precision")
         for key, part in arrays_of(batch, self.frame).items():
@@ -69,8 +68,7 @@ class Checkpoint:
     def load(path: Path) -> "Checkpoint":
         """Read what `save` wrote; never runs a pickle. Raises InputError, which names the file."""
         arrays = read_arrays(path, what=WHAT)
-        if not SCALARS.keys() <= arrays.keys():
-            raise InputError(f"expected {WHAT}", where=str(path))
+        require(SCALARS.keys() <= arrays.keys(), "", WHAT, where=str(path))
         with reading(path, WHAT):
             scalars: dict[str, Any] = {name: kind(arrays.pop(name)) for name, kind in SCALARS.items()}
         return Checkpoint(arrays=arrays, **scalars)
@@ -85,8 +83,7 @@ def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
     """The content of a batch of one scene after `frame`; views.
 
     These are the particles in the order of memory, the particle in each lane, and the records up to the frame; shapes
-    as in `mpm.arrays.batch.Batch`.
-    """
+    as in `mpm.arrays.batch.Batch`."""
     solids, first = int(batch.offsets[0, Offset.SOLIDS]), int(batch.offsets[0, Offset.IMPULSE])
     kept, impulse = sum(number <= frame for number in batch.kept(0)), batch.recorded_impulse[first:]
     return {

@@ -37,8 +37,7 @@ def failure(batch: Batch, index: int) -> WorkFailed | None:
 
     A particle faster than RUNAWAY times the wave speed ends a scene. If gravity and the initial velocities can make it
     that fast, v^2 <= v_0^2 + 2 sum_k |g_k| L_k in a box of lengths L, the flow itself is too fast for so soft a
-    material; if they cannot, or if the speed is not a number, the integration was unstable.
-    """
+    material; if they cannot, or if the speed is not a number, the integration was unstable."""
     scene, features, particles = batch.scenes[index], batch.features, batch.particles[index]
     frames = int(batch.offsets[index, Offset.FRAMES])
     motion = batch.numbers(index, 0, features.state.velocity + features.dimension)
@@ -106,8 +105,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     when each stage began, None if it did not; if asked for, the momentum that the sides of the box and the barriers
     have taken up to each frame [N s], `side_impulse` of each and their sum `wall_impulse`; `outflow` [kg] through each
     open side; `drainage`, in words, if water fills pores; `wall_s` of all scenes that ran together, without
-    compilation.
-    """
+    compilation."""
     if (failed := failure(batch, index)) is not None:
         return failed
     scene, particles, offset = batch.scenes[index], batch.particles[index], batch.offsets[index]
@@ -162,16 +160,21 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         if not begun.all():
             waiting = f"stages[{np.count_nonzero(begun)}] did not begin: by t = {end_time:g} s"
             summary["remarks"].append(f"{waiting} the scene had not settled")
+    solid_impulse = impulses[kept, :solids] if solids else None
+    return flow_of(batch, index, positions, **fields, solid_impulse=solid_impulse, summary=summary)
+
+
+def flow_of(batch: Batch, index: int, positions: Floats, **others: Any) -> Trajectory:
+    """The flow of scene `index` with `positions` [m] in the first of the kept frames, shape [T, N, D]."""
+    scene, particles = batch.scenes[index], batch.particles[index]
     return Trajectory(
         positions=positions,
-        time=np.array(kept, np.float64) * scene.frame_dt,
+        time=np.array(batch.kept(index)[: len(positions)], np.float64) * scene.frame_dt,
         velocity0=particles.velocities.astype(np.float32),
         friction=particles.friction,
         scene=scene,
         entry_time=particles.entry_time,
-        **fields,
-        solid_impulse=impulses[kept, :solids] if solids else None,
-        summary=summary,
+        **others,
     )
 
 
@@ -194,8 +197,7 @@ def caveats(
 
     deposit: positions at the end [m], shape [N, D]; kinetic: energy of every frame [J], present: share of the mass that
     is in the box then [-], shape [T]; end_time: until when the flow was computed [s]; outflow: mass that left through
-    each open side [kg]. In 2D energy and mass are per metre of width.
-    """
+    each open side [kg]. In 2D energy and mass are per metre of width."""
     lines = []
     mass, start = float(np.sum(particles.density * particles.volume)), particles.positions
     speed = math.sqrt(2.0 * float(kinetic[-1]) / (mass * float(present[-1])))

@@ -26,17 +26,11 @@ from datasets.scene import Scene
 from datasets.scene.material import Material
 from datasets.schema import Bounds, Record
 
-REST = 1.0e-3
-"""Kinetic energy of a deposit at rest, as a fraction of the largest so far."""
-BALANCED = 0.01
-"""Unbalanced force of a deposit at rest, as a fraction of its weight."""
-MIN_FRAMES = 3
-"""Least number of frames in the window, if frames are far apart."""
-REST_ENERGY = 5.0e-7
-"""Kinetic energy that counts as none, over M g H [-]: an rms speed of a thousandth of sqrt(g H)."""
-
-PRESENT = 1.0e-6
-"""Share of the mass, at least, by which the energy and the force of what is in an open box are divided."""
+REST = 1.0e-3  # kinetic energy of a deposit at rest, as a fraction of the largest so far
+BALANCED = 0.01  # unbalanced force of a deposit at rest, as a fraction of its weight
+MIN_FRAMES = 3  # least number of frames in the window, if frames are far apart
+REST_ENERGY = 5.0e-7  # kinetic energy that counts as none, over M g H [-]: an rms speed of a thousandth of sqrt(g H)
+PRESENT = 1.0e-6  # share of the mass, at least, by which the energy and the force of what is in an open box are divided
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +41,7 @@ class Recording(Record):
 
     The series of the summary (energies, impulse on the walls) have a value at every `frame_dt` of the scene, whichever
     frames are kept; the impulse on solids, if there are any, is recorded in the kept frames. Raises InputError for what
-    cannot be recorded.
-    """
+    cannot be recorded."""
 
     frames: Annotated[
         Literal["all", "last"] | int, Bounds("all, last or every how many, from 1 on", ge=1, words=("all", "last"))

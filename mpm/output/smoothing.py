@@ -28,8 +28,7 @@ Floats = NDArray[np.floating]
 def support(scene: Scene, positions: Floats) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """For the 3^D nodes in the support of each of N particles at `positions` [m], shape [N, D], by quadratic B-splines:
 
-    numbers in the flat grid and weights w_ip, shape [N, 3^D], and x_i - x_p [cells], shape [N, 3^D, D].
-    """
+    numbers in the flat grid and weights w_ip, shape [N, 3^D], and x_i - x_p [cells], shape [N, 3^D, D]."""
     cell, dimension = scene.domain.cell, scene.dimension
     x_cells = positions.astype(np.float64) / cell + PADDING
     low = np.floor(x_cells - 0.5)
@@ -55,8 +54,7 @@ def weights(positions: Floats, scene: Scene) -> sparse.csr_array:
 def smoothed(values: Floats, positions: Floats, volume: float | Floats, scene: Scene) -> NDArray[np.float32]:
     """Fields of frames, shape [T, N] or [T, N, K], smoothed through the grid; the same shape.
 
-    positions: [m], shape [T, N, D]; volume: of each particle [m^D], one for all or shape [N].
-    """
+    positions: [m], shape [T, N, D]; volume: of each particle [m^D], one for all or shape [N]."""
     smooth = np.empty(values.shape, np.float32)
     volumes = np.broadcast_to(np.asarray(volume, np.float64), positions.shape[1])
     for frame, points in enumerate(positions):

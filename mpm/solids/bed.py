@@ -133,8 +133,7 @@ def bed_arrays(
     """The numbers of all beds, and their elevations at columns of nodes; their places go to `offsets`.
 
     mosts: the largest Coulomb coefficient in each scene [-]; faces: how many are listed. Scenes with the same bed share
-    its numbers.
-    """
+    its numbers."""
     numbers, columns, places = [np.zeros(1, real)], [np.zeros(1, real)], dict[tuple[Bed, float], tuple[int, int]]()
     offsets[:, Offset.TERRAIN_FACE] = faces
     for offset, bed, most in zip(offsets, beds, mosts, strict=False):

@@ -127,8 +127,7 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
     """The solids of several scenes in one; and the start of each scene in `cell_faces`, `faces` and `holds`, with the
     end of the last, shape [scenes + 1, 3].
 
-    Raises InputError as `datasets.geometry.contact_surface.contact_surface_of` does.
-    """
+    Raises InputError as `datasets.geometry.contact_surface.contact_surface_of` does."""
     parts = [obstacles_in(scene) for scene in scenes]
     counts = [(len(part.cell_faces), len(part.faces), len(part.holds), len(part.near_faces)) for part in parts]
     firsts = np.cumsum([(0, 0, 0, 0), *counts], axis=0)
@@ -147,8 +146,7 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
 def obstacles_in(scene: Scene) -> Obstacles:
     """The solids of one scene, with faces listed up to a cell beyond the search distance; empty without solids.
 
-    A particle from farther away needs more than a step to come within the search distance.
-    """
+    A particle from farther away needs more than a step to come within the search distance."""
     surface = contact_surface_of(scene) or ContactSurface(faces=Surface.empty(scene.dimension), field=None)
     return obstacles_with(surface, scene.domain, farthest(scene), roughest(scene))
 
@@ -160,8 +158,7 @@ def farthest(scene: Scene) -> float:
 
 def holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Window, NDArray[np.int32], Floats, Floats]:
     """For `nodes` by their indices, shape [N, D]: a window around them, the start of the holds of each of its nodes by
-    listed faces, these holds, shape [K, 3], and the normals of their faces, shape [K, D].
-    """
+    listed faces, these holds, shape [K, 3], and the normals of their faces, shape [K, D]."""
     window, surface = window_of(scene.domain, nodes), limited(solid.faces, roughest(scene))
     if not len(surface.corners):
         return window, np.zeros(window.count + 1, np.int32), np.zeros((0, 3)), np.zeros((0, scene.dimension))
@@ -171,8 +168,7 @@ def holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Wind
 
 def bed_holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Floats, Floats, Floats]:
     """For `nodes` by their indices, shape [N, D]: the share with which the bed of a terrain holds them, its normals,
-    [N, D], and its friction; empty without a bed.
-    """
+    [N, D], and its friction; empty without a bed."""
     if solid.field is None:
         return np.zeros(len(nodes)), np.zeros(nodes.shape), np.zeros(len(nodes))
     bed = bed_of(solid.field, scene.domain)
@@ -199,8 +195,7 @@ def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: f
     """The solids with the surface `solid` in a box, listed up to `cutoff` cells from faces; runs of one geometry share
     them.
 
-    most: largest Coulomb coefficient of their faces [-].
-    """
+    most: largest Coulomb coefficient of their faces [-]."""
     faces, window = limited(solid.faces, most), window_around(domain, solid.faces, cutoff)
     cell_faces, near_faces = faces_near(window, faces, cutoff=cutoff)
     listed = np.flatnonzero(np.diff(cell_faces))
@@ -290,8 +285,7 @@ def holds_of(window: Window, surface: Surface, nodes: Integers, *, cutoff: float
 def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """The start of the list of each cell among the faces of `surface` near cells, and these faces.
 
-    cutoff: largest distance from the surface that is listed [cells]; a displacement of a step is at most a cell.
-    """
+    cutoff: largest distance from the surface that is listed [cells]; a displacement of a step is at most a cell."""
     cell, half = window.cell, 0.5 * window.cell * math.sqrt(len(window.shape))
     wide = (1.0 + 2.0 * SLACK) * half
     if not len(surface.corners):

@@ -37,8 +37,7 @@ def tensor(components: Vector) -> Vector:
 def path_kernel(features: Features) -> Callable[..., None]:
     """(stress, gradients, history, properties, cell, dt): one element along a path of displacement-gradient increments.
 
-    `stress` ends with the plastic strain and what is remembered of opened cracks.
-    """
+    `stress` ends with the plastic strain and what is remembered of opened cracks."""
     real = ti.f64 if features.precision == "f64" else ti.f32
     blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
     width, law = features.stresses + 2, features.law
@@ -145,8 +144,7 @@ def follow_controlled(
 ) -> Vector:
     """Drive an element with some stress components held at given values; shape [steps, 4 or 6].
 
-    `gradient` makes an increment of the free strains, as many as there are held components, which Newton finds.
-    """
+    `gradient` makes an increment of the free strains, as many as there are held components, which Newton finds."""
     stress, history = np.array(start, float), []
     for _ in range(steps):
 

@@ -12,6 +12,7 @@ from mpm import LAST, simulate
 from mpm.adjoint.gradient import gradient
 from mpm.arrays.properties import properties_of
 from tests.mpm.adjoint.flows import SOIL, Weighted, central, plane, value_of
+from tests.mpm.adjoint.test_gradient import raised
 
 SOFTENING = dataclasses.replace(SOIL, softening_length=0.1, residual_cohesion=100.0, residual_tension_cutoff=20.0)
 MATERIALS = {
@@ -25,10 +26,8 @@ MATERIALS = {
 
 def with_friction(scene: Scene, values: np.ndarray) -> Scene:
     """`scene` with angles at the nodes of a grid of 4 by 3 over its bodies."""
-    field = Field(
-        quantity="friction_deg", origin=(0.0, 0.0), spacing=(0.1, 0.1), nodes=(4, 3), values=tuple(values.tolist())
-    )
-    return dataclasses.replace(scene, fields=(field,))
+    grid = {"origin": (0.0, 0.0), "spacing": (0.1, 0.1), "nodes": (4, 3)}
+    return dataclasses.replace(scene, fields=(Field(quantity="friction_deg", values=values, **grid),))
 
 
 @pytest.mark.parametrize("material", MATERIALS.values(), ids=MATERIALS)
@@ -64,11 +63,8 @@ def test_the_adjoint_of_a_field_of_friction(material: Material) -> None:
     direction = np.random.default_rng(2).normal(size=12)
     derivative = central(lambda h: value_of(with_friction(scene, values + h * direction), objective), 1e-2)
     assert at_nodes @ direction == pytest.approx(derivative, rel=5e-6)
-
-    def with_cohesion(h: float) -> Scene:
-        return dataclasses.replace(scene, material=dataclasses.replace(material, cohesion=material.cohesion + h))
-
-    derivative = central(lambda h: value_of(with_cohesion(h), objective), 0.1)
+    way = ("material", "cohesion")
+    derivative = central(lambda h: value_of(raised(scene, way, h), objective), 0.1)
     assert slope.material("cohesion").sum() == pytest.approx(derivative, rel=5e-6)
 
 

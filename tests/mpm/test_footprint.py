@@ -1,6 +1,7 @@
 """What a run will take, what sets its step, and the cheapest resolution that keeps a tolerance."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -113,8 +114,7 @@ def stopping_place() -> float:
     """x [m] where a block from the middle of the release rests: what it slides on bears its centrifugal force too.
 
     v dv/ds = g (sin t - mu cos t) - mu v^2 / R on the arc, for w = v^2 there A sin t + B cos t and what decays with
-    exp(-2 mu) over a radian.
-    """
+    exp(-2 mu) over a radian."""
     along, lift = RADIUS * np.tan(0.5 * SLOPE), 2.0 * RADIUS * 9.81
     straight = (FOOT - 25.0) / np.cos(SLOPE) - along
     begin = 2.0 * 9.81 * (np.sin(SLOPE) - FRICTION * np.cos(SLOPE)) * straight
@@ -130,10 +130,8 @@ def test_a_thin_fast_flow_does_not_depend_on_young() -> None:
     default = scene.material.modulus
     assert default == pytest.approx(2000.0 * greatest_speed(scene) ** 2)
     factors = (10.0**-0.5, 1.0, 10.0**0.5)
-    scenes = [
-        dataclasses.replace(scene, material=dataclasses.replace(scene.material, young=factor * default))
-        for factor in factors
-    ]
+    soils = [dataclasses.replace(scene.material, young=factor * default) for factor in factors]
+    scenes = [dataclasses.replace(scene, material=soil) for soil in soils]
     flows = simulate_many(scenes, record=Recording(fields=True))
     runs = np.array([flow.summary["front"] - 40.0 for flow in flows])
     speeds = np.array([np.linalg.norm(flow.velocities, axis=-1).mean(axis=1).max() for flow in flows])
@@ -152,6 +150,10 @@ def test_it_is_said_what_sets_the_step() -> None:
     fast = dataclasses.replace(slow, masses=(thrown,), material=dataclasses.replace(slow.material, young=2.0e6))
     flow, waves = simulate(fast), simulate(slow)
     assert (waves.summary["step_limit"], flow.summary["step_limit"]) == ("waves", "flow")
+    for speed in (0.0, 20.0):
+        body = dataclasses.replace(slow.masses[0], velocity=(speed, 0.0))
+        steps = simulate(dataclasses.replace(slow, step_fraction=1.0, masses=(body,))).summary["steps"]
+        assert steps == 2 * math.ceil(0.005 / 0.02 * (slow.material.wave_speed + speed))
     assert flow.summary["wave_speed"] == pytest.approx(fast.material.wave_speed)
     assert "by the flow where it is faster than 58 m/s: it may reach 90 m/s" in step_spoken(fast)
     assert "flow" not in step_spoken(slow)

@@ -1,6 +1,7 @@
 """`python -m mpm.generate`: the same files whatever the jobs, resumable, and nothing of another dataset overwritten."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from datasets import Mass, Scene, Trajectory
 from datasets.definitions.definition import Definition, Split, Storage
 from datasets.errors import WorkFailed
-from mpm.generate import command, generate, thinned
+from mpm.generate import command, generate, thinned, trajectory_path
 from tests.breaking import dataset_files
 from tests.pool import pool
 from tests.refusals import refused, refused_by
@@ -43,7 +44,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_what_is_left_behind(dataset: Path) -> None:
     assert sorted(dataset_files(dataset)) == sorted(["metadata.json", *FILES])
     for entry in TINY.entries(seed=7):
-        trajectory = Trajectory.load(dataset / entry.split.value / f"{entry.name}.npz")
+        trajectory = Trajectory.load(trajectory_path(entry, dataset))
         assert trajectory.scene == entry.scene
         assert trajectory.positions.shape == (5, 64, 2)
         assert not {"wall_s", "compile_s"} & trajectory.summary.keys()
@@ -69,8 +70,8 @@ def test_what_is_stored_of_finer_truth_is_the_same_for_any_jobs(dataset: Path, t
         generate(definition, tmp_path / str(jobs), seed=7, count=None, jobs=jobs)
     assert dataset_files(tmp_path / "1") == dataset_files(tmp_path / "2")
     for entry in definition.entries(seed=7):
-        name = f"{entry.split.value}/{entry.name}.npz"
-        stored, expected = Trajectory.load(tmp_path / "1" / name), thinned(Trajectory.load(dataset / name), STORAGE)
+        stored, whole = (Trajectory.load(trajectory_path(entry, folder)) for folder in (tmp_path / "1", dataset))
+        expected = thinned(whole, STORAGE)
         assert 0 < stored.positions.shape[1] < 64
         for key in ("positions", "velocity0", "friction", "volume", "mass"):
             np.testing.assert_array_equal(getattr(stored, key), getattr(expected, key))
@@ -86,21 +87,18 @@ def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path: Path, monkeypatc
 @pytest.fixture
 def at_once(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulations that take no time: copies of the trajectories of the whole dataset."""
-    files = {entry.scene: dataset / entry.split.value / f"{entry.name}.npz" for entry in TINY.entries(seed=7)}
-
-    monkeypatch.setattr("mpm.generate.pool", pool)
+    files = {entry.scene: trajectory_path(entry, dataset) for entry in TINY.entries(seed=7)}
 
     def copied(scene: Scene, path: Path, storage: Storage | None) -> None:
         Trajectory.load(files[scene]).save(path)
 
+    monkeypatch.setattr("mpm.generate.pool", pool)
     monkeypatch.setattr("mpm.generate.simulate_one", copied)
 
 
 @pytest.mark.usefixtures("at_once")
 def test_a_broken_run_is_finished_and_what_stands_is_kept(dataset: Path, tmp_path: Path) -> None:
-    for name in FILES[1:3]:
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_bytes((dataset / name).read_bytes())
+    shutil.copytree(dataset / "train", tmp_path / "train")
     # What a killed process leaves of a file it was writing.
     (tmp_path / "train" / ".part-tiny-0000-x.npz").write_bytes(b"half")
     before = (tmp_path / FILES[1]).stat().st_mtime_ns
@@ -109,14 +107,11 @@ def test_a_broken_run_is_finished_and_what_stands_is_kept(dataset: Path, tmp_pat
     assert (tmp_path / FILES[1]).stat().st_mtime_ns == before
 
 
-@pytest.mark.parametrize(
-    ("seed", "count", "named"),
-    [(8, None, "train/tiny-0000.npz"), (7, 2, "train/tiny-0003.npz")],
-    ids=["another seed", "fewer than there are"],
-)
-def test_another_dataset_in_the_folder_is_refused(dataset: Path, seed: int, count: int | None, named: str) -> None:
+def test_another_dataset_in_the_folder_is_refused(dataset: Path) -> None:
+    """Another seed, and fewer than there are."""
     before = dataset_files(dataset)
-    assert refused(generate, TINY, dataset, seed=seed, count=count, jobs=1).where == str(dataset / named)
+    for seed, count, named in ((8, None, "train/tiny-0000.npz"), (7, 2, "train/tiny-0003.npz")):
+        assert refused(generate, TINY, dataset, seed=seed, count=count, jobs=1).where == str(dataset / named)
     assert dataset_files(dataset) == before
 
 

@@ -89,11 +89,9 @@ def test_water_at_rest_buoys_and_water_along_a_slope_drags() -> None:
     def force(of: Scene) -> Floats:
         return -initial_water(of, initial_particles(of))[1]
 
-    hill = Mass(kind="polygon", vertices=HILL, k0="elastic")
     buoyancy = [0.0, DENSITY * GRAVITY]
-    assert force(wet_scene(hill, water=Water(pool=0.5, fixed=True))) == pytest.approx(
-        np.tile(buoyancy, (len(initial_particles(wet_scene(hill)).positions), 1)), abs=1e-6
-    )
+    in_pool = force(wet_scene(Mass(kind="polygon", vertices=HILL, k0="elastic"), water=Water(pool=0.5, fixed=True)))
+    assert in_pool == pytest.approx(np.tile(buoyancy, (len(in_pool), 1)), abs=1e-6)
     bed = Solid(kind="terrain", points=((0.0, 0.6), (1.0, 0.1)), friction=0.5)
     sheet = Mass(kind="layer", thickness=0.1)
     drag = force(wet_scene(sheet, solids=(bed,), water=Water(fixed=True)))
@@ -132,16 +130,14 @@ def test_water_presses_on_free_faces(
     """Its force on a body is that on its boundary, with the wall of the box on the left; outer: twice the integral of
     depth over the right side [m^2]."""
     width = (0.2,) if len((masses[0].vertices or (masses[0].lower,))[0]) == 3 else ()
-    of = wet_scene(
-        *(dataclasses.replace(mass, k0="elastic") for mass in masses), water=Water(fixed=True, **water),
-        size=(2.0, 1.2, *width), cell=0.05, particles_per_axis=per_axis, jitter=0.0,
-    )  # fmt: skip
+    bodies = (dataclasses.replace(mass, k0="elastic") for mass in masses)
+    settings = {"size": (2.0, 1.2, *width), "cell": 0.05, "particles_per_axis": per_axis, "jitter": 0.0}
+    of = wet_scene(*bodies, water=Water(fixed=True, **water), **settings)
     particles = initial_particles(of)
     force = -particles.volume @ initial_water(of, particles)[1][:, 0]
     inner = outer if outer > 0.8 else 0.8**2
-    assert force == pytest.approx(
-        0.5 * DENSITY * GRAVITY * (inner - outer) * (0.2 if width else 1.0), rel=2e-3, abs=1.0
-    )
+    exact = 0.5 * DENSITY * GRAVITY * (inner - outer) * (0.2 if width else 1.0)
+    assert force == pytest.approx(exact, rel=2e-3, abs=1.0)
 
 
 def test_water_does_not_press_where_a_solid_or_a_wall_is() -> None:
@@ -215,9 +211,9 @@ def test_the_table_is_no_lower_than_a_pool_that_stands_on_it(table: dict[str, An
 
 
 def test_tables_that_are_none_are_refused() -> None:
-    assert refused(wet_scene, water=Water(level=0.1, table=((0.0, 0.1), (1.0, 0.2)))).key == "water.table"
-    assert refused(wet_scene, water=Water(table=((1.0, 0.1), (0.0, 0.2)))).key == "water.table"
-    assert refused(wet_scene, water=Water(table=((0.0, 0.1),))).key == "water.table"
+    rising = (0.0, 0.1), (1.0, 0.2)
+    for wrong in (Water(level=0.1, table=rising), Water(table=rising[::-1]), Water(table=rising[:1])):
+        assert refused(wet_scene, water=wrong).key == "water.table"
     assert refused(wet_scene, water=Water(origin=(0.0, 0.0))).key == "water.origin"
     assert refused(simulate, wet_scene(water=Water(pool=0.1))).key == "water.pool"
     said = "water.pool: expected none in a tilted box, in which standing water is not level"
@@ -253,10 +249,8 @@ def test_pore_pressure_is_recorded_alone_and_stays_where_it_is_fixed() -> None:
     only, drained = Recording(pore_pressure=True), dataclasses.replace(WET, consolidation=0.1)
     body = dataclasses.replace(BED, initial_pore_pressure_ratio=0.7)
     given: dict[str, Any] = {"duration": 0.1, "frame_dt": 0.05, "jitter": 0.0}
-    flow, fixed = (
-        simulate(wet_scene(body, material=drained, **given), record=only),
-        simulate(wet_scene(body, water=Water(fixed=True), **given), record=only),
-    )
+    scenes = wet_scene(body, material=drained, **given), wet_scene(body, water=Water(fixed=True), **given)
+    flow, fixed = (simulate(scene, record=only) for scene in scenes)
     assert flow.stress is None
     assert (flow.pore_pressure[2] < flow.pore_pressure[0]).mean() > 0.9
     assert (fixed.pore_pressure[2] == fixed.pore_pressure[0]).all()
@@ -266,9 +260,9 @@ STEEP = dataclasses.replace(BISHOP, friction_deg=30.0)
 LOW = dataclasses.replace(STEEP, steepness_deg=math.degrees(math.atan(1.0 / 3.0)))
 
 
+RATIOS = (BISHOP, 0.3, 1.059), (BISHOP, 0.5, 0.844), (STEEP, 0.3, 1.399), (LOW, 0.5, 1.502)
 FACTORS: list[tuple[KnownSlope, dict[str, float], float]] = [
-    *((slope, {"ratio": r}, factor) for slope, r, factor in ((BISHOP, 0.3, 1.059), (BISHOP, 0.5, 0.844))),
-    *((slope, {"ratio": r}, factor) for slope, r, factor in ((STEEP, 0.3, 1.399), (LOW, 0.5, 1.502))),
+    *((slope, {"ratio": ratio}, factor) for slope, ratio, factor in RATIOS),
     # A pool that is drawn down slowly, so that the table follows, and rapidly, so that it stays.
     *((BISHOP, {"level": z, "pool": z}, factor) for z, factor in ((10.0, 1.838), (7.0, 1.486), (3.0, 1.299))),
     *((BISHOP, {"level": 10.0, "pool": z}, factor) for z, factor in ((5.0, 1.057), (0.0, 0.844))),

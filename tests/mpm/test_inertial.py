@@ -84,10 +84,9 @@ def bagnold(scene: Scene, inertial: float) -> Callable[[Floats], Floats]:
     return lambda y: factor * (DEPTH**1.5 - np.maximum(DEPTH - y, 0.0) ** 1.5)
 
 
-BEADS = Material(
-    friction_deg=20.9, angle="slope", friction_limit_deg=32.8, grain_diameter=0.04, grain_density=2450.0, density=1500.0
-)
-"""Jop's glass beads, but for their size: a law of a continuum does not mind."""
+# Jop's glass beads, but for their size: a law of a continuum does not mind.
+GRAINS = {"grain_diameter": 0.04, "grain_density": 2450.0}
+BEADS = Material(friction_deg=20.9, angle="slope", friction_limit_deg=32.8, density=1500.0, **GRAINS)
 
 
 def mu(inertial: float) -> float:
@@ -104,8 +103,7 @@ def test_simple_shear_has_the_friction_of_its_rate(dimension: int, cohesion: flo
     slope = dataclasses.replace(BEADS, young=1.0e10, cohesion=cohesion, tension_cutoff=0.0)
     phi = [math.degrees(math.asin(math.tan(math.radians(angle)))) for angle in (20.9, 32.8)]
     triaxial = dataclasses.replace(slope, angle="triaxial", friction_deg=phi[0], friction_limit_deg=phi[1])
-    pressure = 1.0e3
-    start = np.zeros(4 if dimension == 2 else 6)
+    pressure, start = 1.0e3, np.zeros(4 if dimension == 2 else 6)
     start[:3], start[XY] = -pressure, 0.3 * pressure
     for rate, dt, sand in ((0.02, 1e-5, slope), (2.0, 1e-5, triaxial), (2.0, 1e-3, slope), (200.0, 1e-3, slope)):
         path = np.zeros((4000 if rate * dt < 1e-4 else 50, dimension, dimension))

@@ -147,8 +147,8 @@ def test_columns_and_level_floors_begin_free_of_stress() -> None:
     stacked = Mass(lower=(0.0, 0.4), size=(4.0, 0.2))
     settings: dict[str, Any] = {"size": (5.0, 1.0), "cell": 0.1}
     assert not begins_as_slope(scene_of(flat, **settings), flat)
-    assert not begins_as_slope(scene_of(column, slope_deg=10.0, **settings), column)
     settings["slope_deg"] = 10.0
+    assert not begins_as_slope(scene_of(column, **settings), column)
     assert begins_as_slope(scene_of(flat, **settings), flat)
     for mass in (flat, stacked):
         assert begins_as_slope(scene_of(flat, stacked, **settings), mass)

@@ -18,21 +18,11 @@ pytestmark = pytest.mark.double
 def test_simple_shear_attains_davis(friction_deg: float, dilation_deg: float) -> None:
     """tau / s_n = sin phi cos psi / (1 - sin phi sin psi) under constant normal stress (Davis 1968)."""
     sand = Material(friction_deg=friction_deg, dilation_deg=dilation_deg, young=2.0e8)
-
-    def gradient(free: np.ndarray) -> np.ndarray:
-        return np.array([[0.0, 3e-5], [0.0, free[0]]])
-
-    start = np.array([-1e4, -1e4, -1e4, 0.0])
-    history = follow_controlled(sand, start=start, steps=30, gradient=gradient, held={YY: -1e4})
+    shear = {"steps": 30, "gradient": lambda free: np.array([[0.0, 3e-5], [0.0, free[0]]]), "held": {YY: -1e4}}
+    history = follow_controlled(sand, start=np.array([-1e4, -1e4, -1e4, 0.0]), **shear)
     phi, psi = np.radians(friction_deg), np.radians(dilation_deg)
     davis = np.sin(phi) * np.cos(psi) / (1 - np.sin(phi) * np.sin(psi))
     assert history[-1, XY] / 1e4 == pytest.approx(davis, rel=2e-3)
-
-
-def rotations(count: int) -> np.ndarray:
-    """Random proper rotations, shape [count, 3, 3]."""
-    turned, _ = np.linalg.qr(np.random.default_rng(11).normal(size=(count, 3, 3)))
-    return turned * np.linalg.det(turned)[:, None, None]
 
 
 def components(matrix: np.ndarray) -> np.ndarray:
@@ -48,8 +38,10 @@ def test_the_return_does_not_know_the_axes(dilation_deg: float) -> None:
     principal[:6, 1] = principal[:6, 0]
     principal[6:12, 1] = principal[6:12, 2]
     principal[12:14] = principal[12:14, :1]
+    turns, _ = np.linalg.qr(np.random.default_rng(11).normal(size=(60, 3, 3)))
+    turns *= np.linalg.det(turns)[:, None, None]
     expected, _ = returned(sand, principal)
-    for values, after, turn in zip(principal, expected, rotations(60), strict=True):
+    for values, after, turn in zip(principal, expected, turns, strict=True):
         start = components(turn @ np.diag(values) @ turn.T)
         result = follow(sand, np.zeros((1, 3, 3)), start)[0]
         np.testing.assert_allclose(tensor(result), turn @ np.diag(after) @ turn.T, atol=2e-3 * np.abs(values).max())
@@ -147,9 +139,7 @@ def test_a_crack_opens_beside_compression(material: Material, angle_deg: float) 
     further = along(YY, -1e-4, 10) + along(XX, 1e-4, 10)
     path = np.concatenate([along(YY, -1e-3, 20), along(XX, 2e-3, 50), further])
     history = follow(material, axes @ path @ axes.T)
-    full = np.zeros((len(history), 2, 2))
-    full[:, 0, 0], full[:, 1, 1], full[:, 0, 1], full[:, 1, 0] = history[:, [XX, YY, XY, XY]].T
-    turned = axes.T @ full @ axes
+    turned = axes.T @ tensor(history)[:, :2, :2] @ axes
     size, limit = 1e-3 * material.young, material.tension_limit
     modulus = material.lame + 2 * material.shear_modulus
     squeezed = strained(material, {YY: -1e-3})
@@ -228,8 +218,7 @@ def test_the_work_of_a_band_does_not_depend_on_the_cell(cell: float, dimension: 
     assert work == pytest.approx(5.0e3 * gamma[-1] * cell + 0.5 * 1.5e4 * 0.02, rel=2e-3)
     np.testing.assert_allclose(tau[-1], 5.0e3, rtol=1e-6)
     # Linear in the slip, by the plastic strain at the step's start.
-    before = np.concatenate([[0.0], gamma[:-1]]) * cell
-    soft = 5.0e3 + 1.5e4 * np.maximum(0.0, 1.0 - before / 0.02)
+    soft = 5.0e3 + 1.5e4 * np.maximum(0.0, 1.0 - np.append(0.0, gamma[:-1]) * cell / 0.02)
     yielding = np.diff(gamma, prepend=0.0) > 0.0
     np.testing.assert_allclose(tau[yielding], soft[yielding], rtol=1e-6)
 
@@ -241,13 +230,12 @@ def test_friction_and_cohesion_soften_linearly_in_shear() -> None:
     )
     history, strain, _ = follow_states(soil, sheared(0.05, 0.2, 3000), np.array([-1e5, -1e5, -1e5, 0.0]), cell=0.2)
     slip = np.sqrt(3.0) * strain * 0.2
-    before = np.concatenate([[0.0], slip[:-1]])
+    before = np.append(0.0, slip[:-1])
     w = np.maximum(0.0, 1.0 - before / 0.03)
     radius = np.hypot(history[:, XY], 0.5 * (history[:, XX] - history[:, YY]))
     centre = -0.5 * (history[:, XX] + history[:, YY])
-    peak = np.sin(np.radians(35.0)), 1.0e4 * np.cos(np.radians(35.0))
-    residual = np.sin(np.radians(25.0))
-    expected = (residual + w * (peak[0] - residual)) * centre + w * peak[1]
+    peak, residual = np.sin(np.radians(35.0)), np.sin(np.radians(25.0))
+    expected = (residual + w * (peak - residual)) * centre + w * 1.0e4 * np.cos(np.radians(35.0))
     yielding = (slip > before) & (np.abs(history[:, ZZ] + centre) < 0.5 * radius)
     assert yielding.sum() > 1000
     np.testing.assert_allclose(radius[yielding], expected[yielding], rtol=1e-6)

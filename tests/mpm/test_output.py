@@ -1,6 +1,7 @@
 """What a run records: the frames and fields that were asked for, smooth and right; when it rests; what is said."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,20 +100,13 @@ def test_a_settled_deposit_is_at_rest_and_repeats_its_last_frame() -> None:
 COLUMN = read_scene("column-short-21")
 
 
-def said(
-    scene: Scene = COLUMN,
-    *,
-    x: float = 0.0,
-    energy: float = 0.0,
-    present: float = 1.0,
-    outflow: dict[str, float] | None = None,
-) -> str:
+def said(scene: Scene = COLUMN, *, x: float = 0.0, energy: float = 0.0, present: float = 1.0, left: Any = None) -> str:
     """Remarks on the column moved by `x` [m], whose kinetic energy ends at `energy` [J/m], that of a share of it."""
     particles = initial_particles(scene)
-    deposit = particles.positions + np.array([x] + [0.0] * (scene.dimension - 1))
+    deposit = particles.positions + np.array([x, 0.0])
     kinetic = np.array([0.0, 10.0, energy])
-    over_time = {"kinetic": kinetic, "present": np.array([1.0, 1.0, present])}
-    return "\n".join(caveats(scene, particles, deposit, **over_time, end_time=1.0, outflow=outflow or {}))
+    over_time = {"kinetic": kinetic, "present": np.array([1.0, 1.0, present]), "end_time": 1.0}
+    return "\n".join(caveats(scene, particles, deposit, **over_time, outflow=left or {}))
 
 
 def test_what_has_left_says_nothing_of_the_speed_of_what_has_not() -> None:
@@ -141,7 +135,7 @@ def test_what_is_said_of_motion_walls_open_sides_and_thin_bodies() -> None:
     assert "side x+ of the box stops" in said(x=room)
     opened = dataclasses.replace(COLUMN, open_sides=("x+",))
     assert "x+" not in said(opened, x=room)
-    assert "left the box through its open side x+" in said(opened, outflow={"x+": 1.0})
+    assert "left the box through its open side x+" in said(opened, left={"x+": 1.0})
     # A body of fewer than three cells.
     for cells, thin in ((2.0, True), (5.0, False)):
         mass = dataclasses.replace(COLUMN.masses[0], size=(COLUMN.masses[0].size[0], cells * COLUMN.domain.cell))

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tqdm import tqdm
 
 from datasets import Baffle, Mass, Scene, Trajectory, files
 from datasets.command_line import run
@@ -39,10 +38,10 @@ def ran(folder: Path, text: str = SHORT, *flags: str) -> int:
 
 
 def test_it_leaves_a_trajectory_and_a_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    tmp_path = tmp_path / "two words"
-    tmp_path.mkdir()
-    out = tmp_path / "out"
-    assert ran(tmp_path) == 0
+    folder = tmp_path / "two words"
+    folder.mkdir()
+    assert ran(folder) == 0
+    out = folder / "out"
     assert f"python -m validation.view '{out}' shows it" in capsys.readouterr().out
     trajectory = Trajectory.load(out / "trajectory.npz")
     assert trajectory.positions.shape == (5, 400, 2)
@@ -54,20 +53,13 @@ def test_it_leaves_a_trajectory_and_a_summary(tmp_path: Path, capsys: pytest.Cap
     assert summary["runout"] == pytest.approx(float(trajectory.positions[-1, :, 0].max()))
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ("cell = 0.02, cel = 1", "domain.cel: expected a known key"),
-        ("cell = 0.3", "domain.size: expected a positive whole number of cells"),
-    ],
-)
-def test_a_mistake_is_one_line_and_leaves_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, said: str
-) -> None:
-    (tmp_path / "pile.toml").write_text(SHORT.replace("cell = 0.02", change))
-    line = refused_by(capsys, command, tmp_path / "pile.toml", "--out", tmp_path / "out")
-    assert f"{tmp_path / 'pile.toml'}: {said}" in line
-    assert not (tmp_path / "out").exists()
+def test_a_mistake_is_one_line_and_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, unknown = tmp_path / "pile.toml", "domain.cel: expected a known key"
+    cells = "domain.size: expected a positive whole number of cells"
+    for change, said in (("cell = 0.02, cel = 1", unknown), ("cell = 0.3", cells)):
+        scene.write_text(SHORT.replace("cell = 0.02", change))
+        assert f"{scene}: {said}" in refused_by(capsys, command, scene, "--out", tmp_path / "out")
+        assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("flags", [(), ("--safety",)])
@@ -129,12 +121,6 @@ def test_fields_rest_and_precision(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "not at rest when its duration ended" in capsys.readouterr().out
 
 
-START = """
-from mpm import runtime
-runtime.start("f32", 1)
-"""
-
-
 @pytest.mark.parametrize(("age", "there"), [(2.0 * STALE, False), (0.0, True)])
 def test_a_lock_that_a_killed_run_left_is_removed(tmp_path: Path, age: float, there: bool) -> None:
     lock = tmp_path / "ticache.lock"
@@ -150,7 +136,8 @@ def test_a_run_opens_the_cache_again(tmp_path: Path) -> None:
     lock.touch()
     os.utime(lock, (1.0, 1.0))
     environment = os.environ | {"TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", START], env=environment, check=True)
+    start = "from mpm import runtime; runtime.start('f32', 1)"
+    subprocess.run([sys.executable, "-c", start], env=environment, check=True)
     assert not lock.exists()
 
 
@@ -164,9 +151,8 @@ def same(one: Trajectory, other: Trajectory) -> None:
     for field in dataclasses.fields(Trajectory):
         if field.name not in ("scene", "summary"):
             np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), err_msg=field.name)
-    costs = ("wall_s", "compile_s")
-    summaries = [{k: v for k, v in flow.summary.items() if k not in costs} for flow in (one, other)]
-    assert summaries[0] == summaries[1]
+    costs = dict.fromkeys(("wall_s", "compile_s"))
+    assert one.summary | costs == other.summary | costs
 
 
 def broken_off(scene: Scene, calls: int, **options: Any) -> Checkpoint:
@@ -178,22 +164,21 @@ def broken_off(scene: Scene, calls: int, **options: Any) -> Checkpoint:
 
 
 @pytest.mark.parametrize(
-    ("scene", "record", "precision", "shared"),
+    ("scene", "record", "precision", "threads"),
     [
-        (OPEN, RECORD, "f32", False),
-        (FLOW, Recording(), "f32", False),
-        pytest.param(FLOW, RECORD, "f64", False, marks=pytest.mark.slow),
-        pytest.param(FLOW, RECORD, "f32", True, marks=pytest.mark.slow),
+        (OPEN, RECORD, "f32", 1),
+        (FLOW, Recording(), "f32", 1),
+        pytest.param(FLOW, RECORD, "f64", 1, marks=pytest.mark.slow),
+        pytest.param(FLOW, RECORD, "f32", 2, marks=pytest.mark.slow),
     ],
 )
 def test_a_resumed_run_is_the_unbroken_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene: Scene, record: Recording, precision: Precision, shared: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene: Scene, record: Recording, precision: Precision, threads: int
 ) -> None:
     """Broken off twice; a large scene is sorted at every launch."""
-    if shared:
+    if threads > 1:
         monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
         monkeypatch.setattr(simulation, "LARGE", 0)
-    threads = 2 if shared else 1
     options: Any = {"precision": precision, "record": record, "threads": threads}
     whole = simulate(scene, **options)
     broken_off(scene, 1, **options).save(tmp_path / "checkpoint.npz")
@@ -228,8 +213,8 @@ def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, ch
     refused(Checkpoint.load, path, said="expected a whole NPZ of plain arrays (a checkpoint")
     checkpoint.save(path)
     with np.load(path, allow_pickle=False) as file:
-        arrays = {key: value for key, value in (dict(file) | change).items() if value is not None}
-    np.savez(path, **arrays)
+        arrays = dict(file) | change
+    np.savez(path, **{key: value for key, value in arrays.items() if value is not None})
     assert refused(Checkpoint.load, path, said="; delete the file to begin anew").where == str(path)
 
 
@@ -242,31 +227,21 @@ def full(_: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "status", "flags", "end"),
-    [(signal.SIGINT, 130, ["--every", "8"], 0.04), (signal.SIGTERM, 143, ["--hdf5"], 0.005)],
+    ("number", "flags", "end"), [(signal.SIGINT, ["--every", "8"], 0.04), (signal.SIGTERM, ["--hdf5"], 0.005)]
 )
 def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     number: signal.Signals,
-    status: int,
     flags: list[str],
     end: float,
 ) -> None:
-    class Bar(tqdm):
-        """Sends the signal after the first launch."""
-
-        def update(self, n: float | None = 1) -> bool | None:
-            os.kill(os.getpid(), number)
-            return super().update(n)
-
-    scene, out = tmp_path / "pile.toml", tmp_path / "out"
-    scene.write_text(LONG)
-    before = signal.getsignal(number)
+    """It comes after the first launch."""
+    out, before = tmp_path / "out", signal.getsignal(number)
     with monkeypatch.context() as patch:
-        patch.setattr(simulation, "tqdm", Bar)
-        assert run(command, "mpm.run", [str(scene), "--out", str(out), *flags]) == status
+        patch.setattr(simulation.tqdm, "update", lambda *_: os.kill(os.getpid(), number))
+        assert ran(tmp_path, LONG, *flags) == 128 + number
     assert signal.getsignal(number) is before
     said = capsys.readouterr().err.splitlines()[-1]
     assert said == f"talus: interrupted at t = {end} s; the same command continues from {out}/checkpoint.npz"
@@ -275,14 +250,15 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
         assert len(Trajectory.load(out / name).positions) == 2
     with monkeypatch.context() as patch:
         patch.setattr(files, "flush", full)
-        assert run(command, "mpm.run", [str(scene), "--out", str(out), *flags]) == 1
+        assert ran(tmp_path, LONG, *flags) == 1
     assert f"{name}: No space left on device" in capsys.readouterr().err
     assert (out / "checkpoint.npz").exists()
     assert not (out / "summary.json").exists()
-    for folder in (out, tmp_path / "whole"):
-        assert run(command, "mpm.run", [str(scene), "--out", str(folder), *flags]) == 0
+    for folder in (tmp_path, whole := tmp_path / "whole"):
+        folder.mkdir(exist_ok=True)
+        assert ran(folder, LONG, *flags) == 0
     assert sorted(file.name for file in out.iterdir()) == ["summary.json", name]
-    same(Trajectory.load(out / name), Trajectory.load(tmp_path / "whole" / name))
+    same(Trajectory.load(out / name), Trajectory.load(whole / "out" / name))
 
 
 def test_what_was_written_of_a_former_flow_goes(tmp_path: Path) -> None:
@@ -301,12 +277,11 @@ def test_what_was_written_of_a_former_flow_goes(tmp_path: Path) -> None:
 def test_a_checkpoint_of_another_run_is_named_and_left(
     tmp_path: Path, checkpoint: Checkpoint, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    scene, out = tmp_path / "pile.toml", tmp_path / "out"
-    scene.write_text(LONG.replace("duration = 0.4", "duration = 0.01"))
-    checkpoint.save(out / "checkpoint.npz")
-    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--last-frame"]) == 0
-    assert f"talus: {out}/checkpoint.npz: of another scene, recording or precision" in capsys.readouterr().err
-    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--every", "2", "--last-frame"]) == 2
+    checkpoint.save(tmp_path / "out" / "checkpoint.npz")
+    assert ran(tmp_path, SHORT, "--last-frame") == 0
+    said = f"talus: {tmp_path}/out/checkpoint.npz: of another scene, recording or precision"
+    assert said in capsys.readouterr().err
+    assert ran(tmp_path, SHORT, "--every", "2", "--last-frame") == 2
 
 
 @pytest.mark.parametrize(

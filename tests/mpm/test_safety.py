@@ -19,6 +19,12 @@ from validation.bench.stability.slopes import HEIGHT, KNOWN, SAND, TAYLOR, WEIGH
 UNDRAINED = dataclasses.replace(TAYLOR, cohesion=2.0 * TAYLOR.cohesion)  # twice as strong as it needs to be
 
 
+def uniform(angle_deg: float) -> Field:
+    """A field of one angle of friction."""
+    place = {"origin": (0.0, 0.0), "spacing": (1.0, 1.0), "nodes": (1, 1)}
+    return Field(quantity="friction_deg", values=(angle_deg,), **place)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("slope", "cells"), [*((slope, 20) for slope in KNOWN), (SAND, 10)])
 def test_known_slopes_within_three_percent(slope: KnownSlope, cells: int) -> None:
@@ -54,18 +60,15 @@ def test_a_layer_that_inclined_terrain_does_not_hold_is_warned_of() -> None:
 
 
 def test_all_strength_is_reduced_and_nothing_else() -> None:
-    soil = Material(
-        friction_deg=30.0, cohesion=100.0, dilation_deg=25.0, tension_cutoff=9.0, softening_length=0.1,
-        residual_cohesion=10.0, residual_friction_deg=20.0,
-    )  # fmt: skip
-    angles = Field(quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 1.0), nodes=(1, 1), values=(45.0,))
-    scene = dataclasses.replace(SAND.scene(10), material=soil, fields=(angles,))
+    residual = {"softening_length": 0.1, "residual_cohesion": 10.0, "residual_friction_deg": 20.0}
+    soil = Material(friction_deg=30.0, cohesion=100.0, dilation_deg=25.0, tension_cutoff=9.0, **residual)
+    scene = dataclasses.replace(SAND.scene(10), material=soil, fields=(uniform(45.0),))
     half = reduced(scene, 2.0)
     assert half.material.friction == pytest.approx(0.5 * soil.friction)
     assert half.material.residual.friction == pytest.approx(0.5 * soil.residual.friction)
     assert half.material.dilation_deg == half.material.friction_deg
-    residual = half.material.residual_cohesion
-    assert (half.material.cohesion, residual, half.material.tension_cutoff) == (50.0, 5.0, 4.5)
+    weak = half.material.cohesion, half.material.residual_cohesion, half.material.tension_cutoff
+    assert weak == (50.0, 5.0, 4.5)
     assert math.tan(math.radians(half.fields[0].values[0])) == pytest.approx(0.5)
     assert half.masses[0].k0 == "elastic"
     tilted = dataclasses.replace(soil, angle="slope", friction_limit_deg=40.0, grain_diameter=0.001)
@@ -76,10 +79,9 @@ def test_all_strength_is_reduced_and_nothing_else() -> None:
 def test_a_field_of_all_masses_is_of_the_angle_of_each() -> None:
     """And no dilation exceeds the friction that is left; a uniform field changes nothing."""
     tilted = Material(friction_deg=30.0, angle="slope", dilation_deg=20.0)
-    uniform = Field(quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 1.0), nodes=(1, 1), values=(30.0,))
     first, second = Mass(lower=(0.0, 0.0), size=(1.0, 1.0)), Mass(lower=(1.0, 0.0), size=(1.0, 1.0), material=tilted)
     both = scene_of(first, second, size=(3.0, 2.0), cell=0.1, material=Material(friction_deg=30.0))
-    halves = [reduced(dataclasses.replace(both, fields=fields), 2.0) for fields in ((), (uniform,))]
+    halves = [reduced(dataclasses.replace(both, fields=fields), 2.0) for fields in ((), (uniform(30.0),))]
     alone, with_field = ([half.material_of(each) for each in half.masses] for half in halves)
     assert [field.mass for field in halves[1].fields] == [0, 1]
     for field, without, material in zip(halves[1].fields, alone, with_field, strict=True):

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from datasets import Baffle, Channel, InputError, Mass, Material, Scene, read_scene
+from datasets import Baffle, Channel, Mass, Material, Scene, read_scene
 from mpm import LAST, WITH_FIELDS, Recording, simulate, simulate_many
 from tests import scenes
 from tests.refusals import refused
@@ -70,10 +70,8 @@ def test_a_free_body_keeps_its_angular_momentum() -> None:
     bar = Mass(lower=(0.4, 0.4), size=(0.24, 0.12), angular_velocity=10.0)
     scene = box(bar, material=FIRM, gravity=0.0, duration=0.1, volume_correction=False)
     flow = simulate(scene, precision="f64", record=WITH_FIELDS)
-    x, v = (
-        vectors.astype(np.float64) - vectors.mean(axis=1, dtype=np.float64, keepdims=True)
-        for vectors in (flow.positions, flow.velocities)
-    )
+    motion = (vectors.astype(np.float64) for vectors in (flow.positions, flow.velocities))
+    x, v = (vectors - vectors.mean(axis=1, keepdims=True) for vectors in motion)
     spin = (x[..., 0] * v[..., 1] - x[..., 1] * v[..., 0]).mean(axis=1)
     np.testing.assert_allclose(spin, spin[0], rtol=1e-3)
 
@@ -121,14 +119,6 @@ def test_a_thrown_block_bounces_off_walls_without_gaining_energy(corrected: bool
     assert (total - np.minimum.accumulate(total)).max() < 1e-4 * total[0]
     assert trajectory.positions.min() >= 0.0
     assert trajectory.positions.max() <= 1.0
-
-
-def test_a_fast_frame_takes_more_steps() -> None:
-    slow = box(Mass(lower=(0.4, 0.4), size=(0.1, 0.1)), step_fraction=1.0, duration=0.01, gravity=0.0)
-    fast = dataclasses.replace(slow, masses=(dataclasses.replace(slow.masses[0], velocity=(20.0, 0.0)),))
-    crossing = 0.005 / 0.02
-    assert simulate(slow).summary["steps"] == 2 * math.ceil(crossing * SAND.wave_speed)
-    assert simulate(fast).summary["steps"] == 2 * math.ceil(crossing * (SAND.wave_speed + 20.0))
 
 
 @pytest.mark.slow
@@ -182,10 +172,9 @@ def test_a_gpus_kernel_computes_the_same_flow() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("nvidia-smi") is not None, reason="there may be a GPU here")
 def test_a_missing_gpu_is_one_clear_line() -> None:
-    with pytest.raises(InputError, match="--arch: expected a GPU that Taichi can use with cuda, found none"):
-        simulate(box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01), arch="cuda")
-    # And the CPU still works.
-    assert simulate(box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01)).summary["arch"] == "cpu"
+    small = box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01)
+    refused(simulate, small, arch="cuda", said="--arch: expected a GPU that Taichi can use with cuda, found none")
+    assert simulate(small).summary["arch"] == "cpu", "the CPU still works"
 
 
 COLUMN = scene_of(TALL, size=(1.6, 0.6), duration=1.0, frame_dt=0.005, floor_friction=0.385, step_fraction=0.9)
@@ -227,15 +216,12 @@ def test_the_default_relaxation_scales_with_the_flow() -> None:
     assert fronts[1] == pytest.approx(10.0 * fronts[0], rel=1e-3)
 
 
-WALLED = dataclasses.replace(FIRM, poisson=0.3, young=1.0e7)
-
-
 @pytest.mark.parametrize(("friction_deg", "floor"), [(0.0, 0.1), (20.0, 0.1), (20.0, 0.0), (60.0, 0.1)])
 def test_a_block_slides_between_walls(friction_deg: float, floor: float) -> None:
     """a = g sin - mu_f g cos - (2 mu_w / W) nu g cos h / 2, at least 0: -sigma_zz is nu times the weight above."""
     body, channel = Mass(lower=(0.1, 0.0), size=(0.3, 0.2)), Channel(width=0.08, friction_deg=friction_deg)
     incline = {"slope_deg": 20.0, "floor_friction": floor, "duration": 0.3, "jitter": 0.0}
-    scene = box(body, material=WALLED, channel=channel, **incline)
+    scene = box(body, material=dataclasses.replace(FIRM, poisson=0.3, young=1.0e7), channel=channel, **incline)
     slid = centre_displacement(simulate(scene))[-1, 0]
     assert slid == pytest.approx(SlidingBlock.of_scene(scene).displacement(0.3), abs=0.01 * 0.5 * 9.81 * 0.3**2)
 

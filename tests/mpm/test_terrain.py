@@ -27,8 +27,7 @@ def hill(**changes: object) -> Scene:
     """A layer on a rough incline, posts two cells apart; changes: to the scene."""
     rng = np.random.default_rng(0)
     heights = 0.45 - 0.02 * np.arange(13)[:, None] + 0.04 * rng.random((13, 7))
-    rows = tuple(map(tuple, heights.tolist()))
-    ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.1, 0.1), heights=rows, friction=0.4)
+    ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.1, 0.1), heights=heights, friction=0.4)
     layer = Mass(kind="layer", thickness=0.12, outline=((0.1, 0.15), (0.6, 0.15), (0.6, 0.45), (0.1, 0.45)))
     soil = Material(friction_deg=30.0, young=1.0e6, density=1500.0)
     settings = {"size": (1.2, 0.8, 0.6), "cell": CELL, "duration": 0.1, "frame_dt": 0.02, "solids": (ground,)} | changes
@@ -68,17 +67,15 @@ def test_sand_that_flies_away_from_a_terrain_keeps_its_parabola_beside_sand_that
 
 def bed(heights: NDArray[np.float64], spacing: float) -> Bed:
     """Of a raster under the box of the hill."""
-    rows = tuple(map(tuple, heights.tolist()))
-    ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(spacing, spacing), heights=rows)
+    ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(spacing, spacing), heights=heights)
     scene = hill(solids=(ground,))
-    solid = contact_surface_of(scene)
-    return bed_of(solid.field, scene.domain)
+    return bed_of(contact_surface_of(scene).field, scene.domain)
 
 
 @pytest.mark.parametrize("spacing", [0.1, 0.011, 0.6])
 def test_the_bed_of_a_plane_is_the_plane(spacing: float) -> None:
     """In any direction, wherever points lie, for posts closer than the lattice of the bed or farther apart."""
-    x, z = spacing * np.arange(round(1.2 / spacing) + 2), spacing * np.arange(round(0.6 / spacing) + 2)
+    x, z = (spacing * np.arange(round(length / spacing) + 2) for length in (1.2, 0.6))
     ground = bed(0.5 - 0.3 * x[:, None] + 0.2 * z, spacing)
     points = np.random.default_rng(0).uniform(0.05, [1.15, 0.8, 0.55], (200, 3))
     d, normal, _ = ground.contact(points, np.full((1, 1), 0.4))
@@ -110,10 +107,8 @@ def test_friction_goes_to_the_bed_and_back_to_the_posts() -> None:
     assert ground.at_nodes(np.full_like(posts, 0.3)) == pytest.approx(0.3)
 
 
-WAVES = tuple(
-    tuple(0.1 + 0.05 * np.sin(3.0 * x) + 0.1 * abs(z - 0.5) for z in np.linspace(0.0, 1.0, 11))
-    for x in np.linspace(0.0, 1.0, 14)
-)
+X, Z = np.linspace(0.0, 1.0, 14), np.linspace(0.0, 1.0, 11)
+WAVES = 0.1 + 0.05 * np.sin(3.0 * X[:, None]) + 0.1 * np.abs(Z - 0.5)
 SCENES = {
     2: (
         Solid(kind="terrain", points=((0.0, 0.5), (0.43, 0.2), (1.0, 0.22)), friction=(0.1, 0.3, 0.4)),
@@ -129,24 +124,14 @@ SCENES = {
 
 def mixed(dimension: int) -> Scene:
     """A scene with solids of several kinds and a baffle."""
-    return scene_of(
-        Mass(lower=(0.9,) * dimension, size=(0.1,) * dimension),
-        size=(1.0,) * dimension,
-        cell=CELL,
-        baffles=(Baffle(lower=(0.8, 0.0, 0.8)[:dimension], size=(0.1, 0.6, 0.2)[:dimension]),),
-        solids=SCENES[dimension],
-    )
+    body = Mass(lower=(0.9,) * dimension, size=(0.1,) * dimension)
+    baffle = Baffle(lower=(0.8, 0.0, 0.8)[:dimension], size=(0.1, 0.6, 0.2)[:dimension])
+    return scene_of(body, size=(1.0,) * dimension, cell=CELL, baffles=(baffle,), solids=SCENES[dimension])
 
 
 def whole_box(domain: Domain) -> Window:
     """All cells of a box and its padding."""
     return Window(low=(0,) * domain.dimension, shape=node_shape(domain), cell=domain.cell)
-
-
-def box_cells(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The cell of each point, by the number of its lowest node."""
-    index = np.floor(points / CELL).astype(np.int64) + PADDING
-    return np.ravel_multi_index(tuple(index.T), node_shape(scene.domain))
 
 
 @pytest.mark.parametrize("cutoff", [0.5, 1.0, 2.0])
@@ -157,7 +142,7 @@ def test_a_cell_lists_what_its_points_need(dimension: int, cutoff: float) -> Non
     first, near_faces = faces_near(whole_box(scene.domain), whole, cutoff=cutoff)
     rng = np.random.default_rng(3)
     points = rng.uniform(-2.9 * CELL, 1.0 + 2.9 * CELL, (150, dimension))
-    cells = box_cells(scene, points)
+    cells = whole_box(scene.domain).numbers(np.floor(points / CELL).astype(np.int64) + PADDING)
     seen = nearest(whole, points)
     directions = rng.normal(size=points.shape)
     ends = points + CELL * directions / np.linalg.norm(directions, axis=1, keepdims=True)

@@ -25,8 +25,7 @@ ALONG, ACROSS = np.array([math.cos(STEEP), -math.sin(STEEP)]), np.array([math.si
 class VoellmyBlock:
     """A rigid block on an incline with the bed law of Voellmy, let go at rest: dv/dt = a (1 - v^2 / v_inf^2).
 
-    a = g (sin theta - mu cos theta) > 0, v_inf^2 = xi h (sin theta - mu cos theta), h normal to the bed.
-    """
+    a = g (sin theta - mu cos theta) > 0, v_inf^2 = xi h (sin theta - mu cos theta), h normal to the bed."""
 
     def __init__(self, slope_deg: float, thickness: float = THICKNESS) -> None:
         self.acceleration = SlidingBlock.on_incline(slope_deg, FRICTION).acceleration
@@ -43,11 +42,7 @@ class VoellmyBlock:
 
 
 def tilted(
-    kind: type[Baffle | Solid],
-    offset: float,
-    cells: float = THICKNESS / CELL,
-    width: tuple[float, ...] = (),
-    **changes: Any,
+    kind: type[Baffle | Solid], offset: float, cells: float = 5.0, width: tuple[float, ...] = (), **changes: Any
 ) -> Scene:
     """A block so many cells thick on a bed that ends `offset` cells above a row of nodes, in a tilted box."""
     top, across = (4.0 + offset) * CELL, (0.0,) * len(width)
@@ -58,31 +53,31 @@ def tilted(
     return scene_of(body, material=STRONG, jitter=0.0, **settings, **stands)
 
 
-def height(x: float, length: float) -> float:
-    """Of an incline that ends at `length` [m]."""
-    return 0.05 + (length - x) * math.tan(STEEP)
+LENGTH = 1.4
+
+
+def height(x: float) -> float:
+    """Of an incline that ends at LENGTH [m]."""
+    return 0.05 + (LENGTH - x) * math.tan(STEEP)
 
 
 def on_polyline(seed: int) -> Scene:
     """A block on an incline of a level box, which cuts the grid."""
-    length, extent = 1.4, 0.4
-    foot = np.array([0.15, height(0.15, length)])
-    up, end = THICKNESS * ACROSS, extent * ALONG
+    foot, up, end = np.array([0.15, height(0.15)]), THICKNESS * ACROSS, 0.4 * ALONG
     corners = tuple(tuple(corner.tolist()) for corner in (foot, foot + end, foot + end + up, foot + up))
-    line = ((0.0, height(0.0, length)), (length, height(length, length)))
-    settings = {"size": (length, 1.02), "particles_per_axis": 3, "seed": seed, "duration": 0.8, "frame_dt": 0.02}
+    line = ((0.0, height(0.0)), (LENGTH, height(LENGTH)))
+    settings = {"size": (LENGTH, 1.02), "particles_per_axis": 3, "seed": seed, "duration": 0.8, "frame_dt": 0.02}
     bed = Solid(kind="terrain", points=line, **BED)
     return scene_of(Mass(kind="polygon", vertices=corners), material=STRONG, solids=(bed,), **settings)
 
 
 def on_raster() -> Scene:
     """A block on an incline by a raster, on cells of 4 cm."""
-    length, width = 1.4, 0.24
-    rows = tuple((height(x, length),) * 2 for x in np.linspace(0.0, length, 8).tolist())
+    rows = tuple((height(x),) * 2 for x in np.linspace(0.0, LENGTH, 8).tolist())
     bed = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.2, 0.24), heights=rows, **BED)
-    outline = ((0.1, 0.0), (0.46, 0.0), (0.46, width), (0.1, width))
+    outline = ((0.1, 0.0), (0.46, 0.0), (0.46, 0.24), (0.1, 0.24))
     body = Mass(kind="layer", thickness=THICKNESS / math.cos(STEEP), outline=outline)
-    settings = {"size": (length, 1.04, width), "cell": 0.04, "particles_per_axis": 3, "frame_dt": 0.02}
+    settings = {"size": (LENGTH, 1.04, 0.24), "cell": 0.04, "particles_per_axis": 3, "frame_dt": 0.02}
     return scene_of(body, material=STRONG, solids=(bed,), duration=0.8, **settings)
 
 
@@ -91,8 +86,7 @@ def on_raster() -> Scene:
     [
         (tilted(Solid, 0.0), 0.002),
         (tilted(Baffle, 0.3), 0.002),
-        (on_polyline(0), 0.01),
-        (on_polyline(1), 0.01),
+        *((on_polyline(seed), 0.01) for seed in (0, 1)),
         pytest.param(on_raster(), 0.02, marks=pytest.mark.slow),
     ],
 )
@@ -119,8 +113,7 @@ def test_a_block_reaches_the_terminal_speed(scene: Scene, share: float) -> None:
 def test_thin_layers_feel_all_of_the_drag(cells: float, offset: float, width: tuple[float, ...]) -> None:
     """v = v_inf tanh(a t / v_inf) with v_inf^2 = xi h (sin - mu cos), within 3 % from the start on.
 
-    On a bed that ends `offset` cells above a row of nodes; in 3D between walls of the box, four cells apart.
-    """
+    On a bed that ends `offset` cells above a row of nodes; in 3D between walls of the box, four cells apart."""
     exact = VoellmyBlock(SLOPE_DEG, cells * CELL)
     duration = 0.02 * math.ceil(3.0 * exact.terminal_speed / exact.acceleration / 0.02)
     # In 3D without gaps, which a strong block has not.
@@ -185,9 +178,8 @@ def test_blocks_on_a_bed_whose_turbulence_varies_have_the_speeds_of_their_places
     scale = VoellmyBlock(SLOPE_DEG, 0.04).terminal_speed / math.sqrt(TURBULENCE)
     for mine, xi in ((first, low), (~first, high)):
         exact = math.sqrt(xi) * scale
-        assert flow.velocities[-1, mine, 0].mean() == pytest.approx(
-            exact * math.tanh(VoellmyBlock(SLOPE_DEG).acceleration * 0.6 / exact), rel=0.03
-        )
+        reached = exact * math.tanh(VoellmyBlock(SLOPE_DEG).acceleration * 0.6 / exact)
+        assert flow.velocities[-1, mine, 0].mean() == pytest.approx(reached, rel=0.03)
     even = [simulate(scene(xi)) for xi in (20.0, ((20.0,) * 6,) * 2)]
     np.testing.assert_allclose(even[1].positions[-1], even[0].positions[-1], atol=1e-6)
 

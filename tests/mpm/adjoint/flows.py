@@ -20,11 +20,13 @@ SOIL = Material(friction_deg=30.0, cohesion=500.0, tension_cutoff=300.0)
 """Carries enough tension for a start without stress to be inside the yield surface, where the flow is smooth."""
 
 
-SLIDING = (
-    Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
-    Mass(lower=(0.2, 0.0), size=(0.1, 0.2), velocity=(0.5, -0.3)),
-)
-OBLIQUE = (Mass(lower=(0.0, 0.0, 0.12), size=(0.2, 0.2, 0.16), velocity=(1.0, 0.0, 0.2)),)
+def boxes(*bodies: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]) -> tuple[Mass, ...]:
+    """Boxes by their lower corner and size [m] and their velocity [m/s]."""
+    return tuple(Mass(lower=lower, size=size, velocity=velocity) for lower, size, velocity in bodies)
+
+
+SLIDING = boxes(((0.0, 0.0), (0.2, 0.2), (1.0, 0.0)), ((0.2, 0.0), (0.1, 0.2), (0.5, -0.3)))
+OBLIQUE = boxes(((0.0, 0.0, 0.12), (0.2, 0.2, 0.16), (1.0, 0.0, 0.2)))
 ROUGH = {"floor_friction": 0.3, "wall_friction": 0.2}
 
 
@@ -83,8 +85,7 @@ def central(function: Callable[[float], float], step: float) -> float:
     """Derivative at 0 by central differences, of the steps from `step` down three in a row that agree best.
 
     A large step crosses from a piece of the flow to the next (a yield surface, sticking and sliding), a small one
-    rounds.
-    """
+    rounds."""
     steps = step * 10.0 ** -np.arange(0.0, 4.5, 0.5)
     derivatives = np.array([(function(h) - function(-h)) / (2.0 * h) for h in steps])
     threes = np.lib.stride_tricks.sliding_window_view(derivatives, 3)

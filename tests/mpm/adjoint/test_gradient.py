@@ -10,7 +10,7 @@ import pytest
 from datasets import Baffle, Channel, Mass, Material, Scene, Solid
 from datasets.scene.grid_field import Field
 from mpm.adjoint.gradient import Gradient, started
-from tests.mpm.adjoint.flows import SOIL, Weighted, central, exact_gradient, moved, plane, room, shaken, value_of
+from tests.mpm.adjoint.flows import SOIL, Weighted, boxes, central, exact_gradient, moved, plane, room, shaken, value_of
 from tests.refusals import refused
 
 pytestmark = pytest.mark.double
@@ -23,52 +23,44 @@ RESIDUAL = {"residual_friction_deg": 25.0, "residual_cohesion": 100.0, "residual
 SOFTENING = Material(**PEAK, **RESIDUAL, softening_length=4.0e-3)
 CLAY = Material(law="von-mises", friction_deg=0.0, constants={"strength": 500.0, "hardening": 300.0}, young=2.0e5)
 FAST_SHEAR = {"friction_limit_deg": 45.0, "grain_diameter": 5.0e-3, "inertial_number": 0.2}
-LEAVING = (
-    Mass(lower=(0.785, 0.0), size=(0.2, 0.2), velocity=(2.0, 0.0)),
-    Mass(lower=(0.01, 0.0), size=(0.1, 0.2), velocity=(-2.0, -0.3)),
-)
+FAST_SAND = dataclasses.replace(SAND, angle="slope", **FAST_SHEAR | {"friction_limit_deg": 38.0})
+LEAVING = boxes(((0.785, 0.0), (0.2, 0.2), (2.0, 0.0)), ((0.01, 0.0), (0.1, 0.2), (-2.0, -0.3)))
 FALLING = (
     Mass(lower=(0.013, 0.05), size=(0.2, 0.1), velocity=(0.5, -1.5), angular_velocity=8.0),
     Mass(lower=(0.3, 0.013), size=(0.1, 0.1), velocity=(-1.0, 0.3)),
 )
-NEAR = (
-    Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
-    Mass(lower=(0.2, 0.0), size=(0.1, 0.2), velocity=(1.5, -0.3)),
-)
-ABOVE = (
-    Mass(lower=(0.1, 0.033), size=(0.2, 0.12), velocity=(1.0, -0.3)),
-    Mass(lower=(0.3, 0.04), size=(0.1, 0.1), velocity=(0.5, -0.5)),
-)
+NEAR = boxes(((0.0, 0.0), (0.2, 0.2), (1.0, 0.0)), ((0.2, 0.0), (0.1, 0.2), (1.5, -0.3)))
+ABOVE = boxes(((0.1, 0.033), (0.2, 0.12), (1.0, -0.3)), ((0.3, 0.04), (0.1, 0.1), (0.5, -0.5)))
 # Two rows of particles.
-THIN = (
-    Mass(lower=(0.1, 0.032), size=(0.1, 0.014), velocity=(2.0, -0.5)),
-    Mass(lower=(0.2, 0.034), size=(0.06, 0.015), velocity=(1.7, -0.3)),
-)
+THIN = boxes(((0.1, 0.032), (0.1, 0.014), (2.0, -0.5)), ((0.2, 0.034), (0.06, 0.015), (1.7, -0.3)))
 HELD = (
     Mass(lower=(0.1, 0.0), size=(0.2, 0.2), release=0.0125),
     Mass(lower=(0.5, 0.0), size=(0.1, 0.2), velocity=(-0.5, 0.0)),
 )
 # So fast that particles reach the ground, which puts them back onto it.
-THROWN = (Mass(lower=(0.35, 0.036), size=(0.2, 0.1), velocity=(1.0, -6.0)),)
-THROWN_3D = (Mass(lower=(0.013, 0.05, 0.12), size=(0.2, 0.16, 0.16), velocity=(1.0, -1.5, 0.2)),)
-CUBE = (Mass(lower=(0.0, 0.0, 0.12), size=(0.2, 0.2, 0.16), velocity=(2.0, 0.0, 0.2)),)
+THROWN = boxes(((0.35, 0.036), (0.2, 0.1), (1.0, -6.0)))
+THROWN_3D = boxes(((0.013, 0.05, 0.12), (0.2, 0.16, 0.16), (1.0, -1.5, 0.2)))
+CUBE = boxes(((0.0, 0.0, 0.12), (0.2, 0.2, 0.16), (2.0, 0.0, 0.2)))
 # Off the knots of the splines of a bed, where their second derivatives jump.
-RAISED = (Mass(lower=(0.203, 0.08, 0.206), size=(0.24, 0.16, 0.16), velocity=(1.0, -1.0, 0.3)),)
-HURLED = (dataclasses.replace(RAISED[0], velocity=(1.0, -6.0, 0.3)),)
+RAISED = boxes(((0.203, 0.08, 0.206), (0.24, 0.16, 0.16), (1.0, -1.0, 0.3)))
+HURLED = boxes(((0.203, 0.08, 0.206), (0.24, 0.16, 0.16), (1.0, -6.0, 0.3)))
 # They lean: turned out of the upright on the floor, a wedge would open below.
 LEANING = Baffle(lower=(0.313, 0.0), size=(0.05, 0.127), turned_deg=5.0)
 BEHIND = Baffle(lower=(0.413, 0.0), size=(0.05, 0.127), turned_deg=5.0)
 PILLAR = Baffle(lower=(0.225, 0.0, 0.1), size=(0.1, 0.127, 0.1), turned_deg=20.0)
 GROUND = Solid(kind="terrain", points=((0.0, 0.02), (0.25, 0.03), (1.0, 0.013)), friction=(0.1, 0.7, 0.3))
 SLOPE = Solid(kind="terrain", points=((0.0, 0.02), (1.0, 0.03)), friction=0.4)
-HILL = Solid(
-    kind="terrain",
-    origin=(0.0, 0.0),
-    spacing=(0.4, 0.4),
-    heights=((0.05, 0.07, 0.05), (0.06, 0.05, 0.05), (0.05, 0.05, 0.06)),
-    friction=((0.1, 0.6, 0.2), (0.5, 0.1, 0.4), (0.1, 0.5, 0.3)),
-)
+HEIGHTS = ((0.05, 0.07, 0.05), (0.06, 0.05, 0.05), (0.05, 0.05, 0.06))
+MU = ((0.1, 0.6, 0.2), (0.5, 0.1, 0.4), (0.1, 0.5, 0.3))
+HILL = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.4, 0.4), heights=HEIGHTS, friction=MU)
 XI = ((40.0, 20.0, 50.0), (15.0, 60.0, 30.0), (50.0, 20.0, 40.0))
+
+
+def braked(solid: Any, turbulence: Any = 40.0) -> tuple[Any, ...]:
+    """A solid with turbulence."""
+    return (dataclasses.replace(solid, turbulence=turbulence),)
+
+
 BAFFLED: dict[str, Any] = {"masses": NEAR, "baffles": (LEANING,), "baffle_friction": 0.3}
 FRICTIONS = Field(quantity="friction_deg", values=(25.0, 35.0), origin=(0.0, 0.1), spacing=(0.3, 1.0), nodes=(2, 1))
 SCENES = {
@@ -88,9 +80,7 @@ SCENES = {
     "sand before a baffle": plane(SAND, masses=FALLING, baffles=(BEHIND,), baffle_friction=0.3, duration=0.04),
     "friction of the rate": plane(dataclasses.replace(WEAK, dilation_deg=5.0, **FAST_SHEAR), slope_deg=20.0),
     "friction of the rate, softening": plane(dataclasses.replace(SOFTENING, **FAST_SHEAR), duration=0.01),
-    "3D sand, friction of the rate": room(
-        dataclasses.replace(SAND, angle="slope", **FAST_SHEAR | {"friction_limit_deg": 38.0}), masses=THROWN_3D
-    ),
+    "3D sand, friction of the rate": room(FAST_SAND, masses=THROWN_3D),
     "3D sand": room(SAND, masses=THROWN_3D, duration=0.03),
     "3D weak soil": room(WEAK, masses=THROWN_3D, duration=0.03),
     "baffle": plane(**BAFFLED, duration=0.04),
@@ -99,21 +89,11 @@ SCENES = {
     "ground": plane(masses=ABOVE, solids=(GROUND,), volume_correction=False, duration=0.03),
     "thrown": plane(masses=THROWN, solids=(SLOPE,), volume_correction=False, duration=0.03),
     "channel with a baffle": plane(**BAFFLED, channel=Channel(width=0.1, friction_deg=20.0), slope_deg=20.0),
-    "turbulent ground": plane(
-        masses=ABOVE, solids=(dataclasses.replace(SLOPE, turbulence=40.0),), volume_correction=False, duration=0.03
-    ),
-    "turbulent baffle": plane(
-        masses=NEAR, baffles=(dataclasses.replace(LEANING, turbulence=20.0),), baffle_friction=0.3, duration=0.04
-    ),
-    "thin layer on turbulent ground": plane(
-        masses=THIN, solids=(dataclasses.replace(SLOPE, turbulence=40.0),), duration=0.02
-    ),
-    "3D turbulent ground": room(
-        masses=RAISED, solids=(dataclasses.replace(HILL, turbulence=40.0),), volume_correction=False, duration=0.015
-    ),
-    "3D ground whose turbulence varies": room(
-        masses=RAISED, solids=(dataclasses.replace(HILL, turbulence=XI),), duration=0.015
-    ),
+    "turbulent ground": plane(masses=ABOVE, solids=braked(SLOPE), volume_correction=False, duration=0.03),
+    "turbulent baffle": plane(masses=NEAR, baffles=braked(LEANING, 20.0), baffle_friction=0.3, duration=0.04),
+    "thin layer on turbulent ground": plane(masses=THIN, solids=braked(SLOPE)),
+    "3D turbulent ground": room(masses=RAISED, solids=braked(HILL), volume_correction=False, duration=0.015),
+    "3D ground whose turbulence varies": room(masses=RAISED, solids=braked(HILL, XI), duration=0.015),
     "3D ground": room(masses=RAISED, solids=(HILL,), volume_correction=False, duration=0.015),
     "3D thrown": room(masses=HURLED, solids=(HILL,), volume_correction=False, duration=0.015),
 }
@@ -227,8 +207,7 @@ def test_the_gradient_is_that_of_central_differences(name: str) -> None:
 
 def test_turbulence_by_posts_has_no_derivative() -> None:
     scene = SCENES["3D ground whose turbulence varies"]
-    (bed,) = scene.solids
-    mirrored = dataclasses.replace(scene, solids=(dataclasses.replace(bed, turbulence=XI[::-1]),))
+    mirrored = dataclasses.replace(scene, solids=braked(HILL, XI[::-1]))
     refused(started, mirrored, started(scene), said="expected the same turbulence at all posts of a terrain")
 
 
@@ -246,8 +225,7 @@ def test_in_3d_it_is_that_of_central_differences_along_one_direction() -> None:
 def test_the_remainder_falls_with_the_square_of_the_step() -> None:
     """Taylor: |J(u + h d) - J(u) - h J' d| falls with h^2 over four decades where the flow has no corners.
 
-    A body that flies and swings, too strong to yield; u are the velocities of all particles.
-    """
+    A body that flies and swings, too strong to yield; u are the velocities of all particles."""
     strong = dataclasses.replace(SOIL, cohesion=1.0e6, tension_cutoff=1.0e6)
     body = Mass(lower=(0.41, 0.43), size=(0.2, 0.1), velocity=(1.0, 0.5), angular_velocity=5.0)
     scene = plane(strong, masses=(body,), volume_correction=False, duration=0.0125)
@@ -285,10 +263,8 @@ def test_what_a_run_begins_with_is_made_anew_where_a_path_changes_it(change: dic
             np.testing.assert_array_equal(getattr(renewed, name), getattr(whole, name), err_msg=name)
         for name in ("positions", "velocities", "velocity_gradients", "friction", "volume"):
             np.testing.assert_array_equal(*(getattr(run.particles, name) for run in (renewed, whole)), err_msg=name)
-        ours, theirs = (
-            {(*node, face): share for node, (face, _, share) in zip(run.held, run.holds, strict=True) if share > 0.0}
-            for run in (renewed, whole)
-        )
+        holds = [zip(run.held, run.holds, strict=True) for run in (renewed, whole)]
+        ours, theirs = ({(*node, face): share for node, (face, _, share) in pairs if share > 0.0} for pairs in holds)
         assert ours.items() <= theirs.items()
         assert len(ours) > 0.8 * len(theirs) > 0.0
 
@@ -296,16 +272,14 @@ def test_what_a_run_begins_with_is_made_anew_where_a_path_changes_it(change: dic
 def test_a_path_that_moves_a_body_and_speeds_it_up() -> None:
     """Half a cell aside, where masses do not lie on the grid."""
     first, second = plane().masses
-    low = (first.lower[0] + 0.01, first.lower[1] + 0.01)
-    masses = dataclasses.replace(first, lower=low), dataclasses.replace(second, lower=(0.25, 0.01))
-    scene = plane(masses=masses, volume_correction=False)
-    objective = Weighted(scene)
-    slope = exact_gradient(scene, objective)
 
     def scene_at(t: float) -> Scene:
-        pushed = dataclasses.replace(first, lower=(low[0] + 0.1 * t, low[1]), velocity=(1.0 + t, 0.2 * t))
-        return dataclasses.replace(scene, masses=(pushed, scene.masses[1]))
+        pushed = dataclasses.replace(first, lower=(0.01 + 0.1 * t, 0.01), velocity=(1.0 + t, 0.2 * t))
+        return plane(masses=(pushed, dataclasses.replace(second, lower=(0.25, 0.01))), volume_correction=False)
 
+    scene = scene_at(0.0)
+    objective = Weighted(scene)
+    slope = exact_gradient(scene, objective)
     derivative = central(lambda h: value_of(scene_at(h), objective), 1e-5)
     assert slope.along(scene_at, 0.0) == pytest.approx(derivative, rel=5e-6)
     refused(slope.along, lambda h: dataclasses.replace(scene, masses=scene.masses[:1]), 0.0, said="as many particles")

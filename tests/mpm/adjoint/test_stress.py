@@ -1,7 +1,7 @@
 """The reverse of the stress step: against central differences on every piece of the return, finite where they meet."""
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -38,8 +38,7 @@ def trial_after(stress: Any, a: Any, lame: Any, shear: Any, dimension: int) -> A
 def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None]]:
     """Forwards (inputs, returned stress) and backwards (inputs, adjoint of that stress, adjoints of the inputs).
 
-    Inputs: stress, increment A row by row, CONSTANTS; a block of lanes each.
-    """
+    Inputs: stress, increment A row by row, CONSTANTS; a block of lanes each."""
     real = ti.f32 if features.precision == "f32" else ti.f64
     blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
     stresses, gradients, dimension = features.stresses, features.dimension**2, features.dimension
@@ -95,6 +94,7 @@ def reversed_step(features: Features, inputs: Array, adj: Array) -> Array:
     return of_elements(kernels(features)[1], features, inputs, adj, rows=len(inputs))
 
 
+dense = partial(Features, precision="f64", dilates=True, cohesive=True)
 YOUNG = 100.0  # Lame's constants of the elements [Pa]: that of the cohesion is 1
 KINDS = [
     pytest.param(Features(dimension=size, precision="f64", dilates=strong, cohesive=strong, inertial=fast), id=name)
@@ -186,10 +186,10 @@ def test_elastic_stresses_that_are_equal_have_the_derivative_of_elasticity(
 ) -> None:
     """Nothing yields: the adjoint of the trial is that of the new stress, whatever the axes, to rounding."""
     random = np.random.default_rng(2)
-    features = Features(dimension=dimension, precision="f64", dilates=True, cohesive=True)
+    features = dense(dimension=dimension)
     stress = same_axes(features.stresses, values, 64, random)
     inputs = inputs_of(stress, random, features)
-    inputs[len(inputs) - CONSTANTS + 2] = 50.0
+    inputs[2 - CONSTANTS] = 50.0
     adj = random.normal(size=stress.shape)
     np.testing.assert_allclose(reversed_step(features, inputs, adj)[: features.stresses], adj, atol=1e-12)
 
@@ -198,13 +198,11 @@ def test_elastic_stresses_that_are_equal_have_the_derivative_of_elasticity(
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_on_an_edge_two_stresses_stay_equal(dimension: int, pair: float, single: float) -> None:
     """An adjoint that would part the equal stresses of an edge, by a turn or a stretch, gives none to the trial."""
-    features = Features(dimension=dimension, precision="f64", dilates=True, cohesive=True)
-    random = np.random.default_rng(4)
+    features = dense(dimension=dimension)
     stress = np.zeros((features.stresses, 16))
     stress[0], stress[1], stress[2] = pair, pair, single
-    inputs = inputs_of(stress, random, features)
-    inputs[len(inputs) - CONSTANTS] = 0.7
-    inputs[len(inputs) - CONSTANTS + 2] = 0.1
+    inputs = inputs_of(stress, np.random.default_rng(4), features)
+    inputs[[-CONSTANTS, 2 - CONSTANTS]] = np.array([[0.7], [0.1]])
     assert not np.allclose(stepped(features, inputs)[2], single)
     for parting in ([1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]):
         adj = np.zeros_like(stress)
@@ -216,13 +214,11 @@ def test_on_an_edge_two_stresses_stay_equal(dimension: int, pair: float, single:
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_beside_a_crack_equal_stresses_turn_freely(dimension: int) -> None:
     """One stress opens, the other two fall alike: between them the derivative of turning is 1, not 0 / 0."""
-    features = Features(dimension=dimension, precision="f64", dilates=True, cohesive=True)
+    features = dense(dimension=dimension)
     stress = np.zeros((features.stresses, 8))
     stress[0], stress[1], stress[2] = (-1.0, -1.0, 3.0)
-    random = np.random.default_rng(5)
-    inputs = inputs_of(stress, random, features)
-    first = len(inputs) - CONSTANTS
-    inputs[first : first + 4] = np.array([0.3, 0.0, 20.0, 0.5])[:, None]
+    inputs = inputs_of(stress, np.random.default_rng(5), features)
+    inputs[-CONSTANTS : 4 - CONSTANTS] = np.array([0.3, 0.0, 20.0, 0.5])[:, None]
     adj = np.zeros_like(stress)
     adj[3] = 1.0
     adjoints = reversed_step(features, inputs, adj)

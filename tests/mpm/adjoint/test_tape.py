@@ -34,13 +34,10 @@ def test_positions_are_those_of_the_solver(scene: Scene, precision: Precision) -
 
 def test_segments_do_not_change_the_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the bit: one frame a segment, three, or all frames in one."""
-    scene = FLAT
-    slopes = []
-    for length in (1, 3, scene.frames - 1):
-        monkeypatch.setattr(
-            Tape, "plan", lambda self, usual, most, k=length: sorted({*range(0, self.frames[-1], k), self.frames[-1]})
-        )
-        slopes.append(gradient(scene, Weighted(scene), threads=1)[1])
+    slopes, last = [], FLAT.frames - 1
+    for length in (1, 3, last):
+        monkeypatch.setattr(Tape, "plan", lambda *_, length=length: sorted({*range(0, last, length), last}))
+        slopes.append(gradient(FLAT, Weighted(FLAT), threads=1)[1])
     for other in slopes[1:]:
         for name in ("positions", "velocities", "properties"):
             np.testing.assert_array_equal(getattr(slopes[0], name), getattr(other, name))
@@ -83,18 +80,14 @@ def test_memory_stays_within_the_budget_and_grows_with_the_root_of_the_steps() -
 
 def test_frames_between_are_observed_too() -> None:
     """A sum over frames has the sum of their gradients."""
-    scene = FLAT
-    frames = [0, 3, 8]
-    tape = Tape([scene], frames, threads=1, outputs=4)
-    shape = tape.positions().shape
-    random = np.random.default_rng(1)
-    weights = random.normal(size=shape)
+    tape = Tape([FLAT], [0, 3, 8], threads=1, outputs=4)
+    weights = np.random.default_rng(1).normal(size=tape.positions().shape)
     parts = [weights * (np.arange(3) == slot)[:, None, None] for slot in range(3)]
     whole, *by_frame = [slope for (slope,) in pull_back_all(tape, [[FlowAdjoints(w)] for w in (weights, *parts)])]
     np.testing.assert_allclose(sum(part.velocities for part in by_frame), whole.velocities, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(by_frame[0].positions, parts[0][0])
     assert not by_frame[0].velocities.any()
-    alone = gradient(dataclasses.replace(scene, duration=0.0075), lambda x, v: (0.0, parts[1][1:2], None), threads=1)[1]
+    alone = gradient(dataclasses.replace(FLAT, duration=0.0075), lambda x, v: (0.0, parts[1][1:2], None), threads=1)[1]
     np.testing.assert_allclose(by_frame[1].velocities, alone.velocities, rtol=1e-9, atol=1e-12)
 
 
@@ -114,8 +107,7 @@ def test_scenes_side_by_side_are_as_alone() -> None:
 
 def test_a_gradient_without_bound_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where more adjoints are cut than may be: here all that are not 0."""
-    scene = dataclasses.replace(FLAT, step_fraction=0.9)
-    tape = Tape([scene], [8], threads=1)
+    tape = Tape([dataclasses.replace(FLAT, step_fraction=0.9)], [8], threads=1)
     monkeypatch.setattr("mpm.adjoint.tape.CUT", 0.0)
     with pytest.raises(WorkFailed, match=r"grows without bound.* try a step_fraction below 0.9"):
         pull_back_all(tape, [[FlowAdjoints(np.ones_like(tape.positions()))]])
@@ -134,8 +126,7 @@ def test_steady_steps_are_those_of_a_lone_particle() -> None:
 def test_lone_particles_that_swing_are_cut() -> None:
     """Sand of ten layers without memory of gaps: at 0.9 of the step lone particles swing, at 0.8 none does.
 
-    Exact, the first gradient has no bound; with a few adjoints cut it is that of the same flow in shorter steps.
-    """
+    Exact, the first gradient has no bound; with a few adjoints cut it is that of the same flow in shorter steps."""
     scene = read_scene("layers-10")
     sand = dataclasses.replace(scene.material, cohesion=0.0, tension_cutoff=None)
     scene = dataclasses.replace(scene, material=sand, damping=0.0, volume_correction=False)
