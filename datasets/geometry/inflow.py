@@ -153,7 +153,8 @@ def foot_of(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) 
     if dimension == 2:
         ends = np.array([[*ends[0], -0.5], [*ends[0], 0.5]])
     width = float(np.linalg.norm(ends[1] - ends[0]))
-    require(width >= share, key, f"a section of at least a particle, {share:.3g} m, across", f"{width:.3g} m")
+    wide = dimension == 2 or width >= share
+    require(wide, key, f"a section of at least a particle, {share:.3g} m, across", f"{width:.3g} m")
     places = np.linspace(ends[0], ends[1], max(2, round(width / share)))
     above = float((places[:, 1] - elevation(ground, domain, places[:, level])).min())
     require(grounded or above >= -TOUCHING, key, "a section above the ground", f"one {-above:.3g} m below")

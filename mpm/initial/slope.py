@@ -15,6 +15,7 @@ active and passive limits beside tau (Rankine 1857; s = sin phi, reduced by MARG
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import Particles
 
 Floats = NDArray[np.float64]
+Counts = Callable[[Mass], bool]
 
 FLAT = 5.0  # length over height from which a mass is a layer and no column
 NEAR, MOST = 0.05, 0.9  # a sheet's lower side lies within NEAR cells of the ground over at least this share
@@ -35,24 +37,39 @@ MARGIN = 0.1  # share by which sin(phi) is reduced for K
 
 
 def begins_as_slope(scene: Scene, mass: Mass) -> bool:
-    """Whether a layer or polygon lies along inclined ground or, if tilted, a box on level ground or boxes."""
-    if not lies_flat(scene, mass):
+    """Whether a mass is a sheet whose grains, and those of its stack, begin with the stress of an infinite slope."""
+    return is_sheet(scene, mass, takes_stress)
+
+
+def anything(_: Mass) -> bool:
+    """Every mass."""
+    return True
+
+
+def takes_stress(mass: Mass) -> bool:
+    """Whether nothing else says how the grains of `mass` begin."""
+    return not isinstance(mass.k0, float) and mass.release is None and mass.angular_velocity is None
+
+
+def is_sheet(scene: Scene, mass: Mass, counts: Counts = anything) -> bool:
+    """Whether a layer or polygon lies along inclined ground or, if tilted, a box on level ground or boxes; only masses
+    that pass `counts` are sheets."""
+    if not lies_flat(scene, mass, counts):
         return False
     tilted = scene.slope_deg != 0.0
     if mass.kind != "box":
         inclined = tilted or any(solid.kind == "terrain" for solid in scene.solids)
         return inclined and (mass.kind == "layer" or follows_ground(scene, mass))
-    stacked = all(
-        lies_flat(scene, other) and foundation(scene, other) is not None for other in scene.masses if above(other, mass)
+    stack = [mass, *(other for other in scene.masses if above(other, mass))]
+    return tilted and all(
+        lies_flat(scene, body, counts) and foundation(scene, body, counts) is not None for body in stack
     )
-    return tilted and stacked and foundation(scene, mass) is not None
 
 
-def lies_flat(scene: Scene, mass: Mass) -> bool:
-    """Whether `mass`, of friction and without a number for `k0`, is a sheet and no column."""
+def lies_flat(scene: Scene, mass: Mass, counts: Counts) -> bool:
+    """Whether `mass`, of friction, is a sheet and no column."""
     frictional = scene.material_of(mass).law == MOHR_COULOMB and mass.kind not in ("mesh", INFLOW)
-    held = isinstance(mass.k0, float) or mass.release is not None
-    if not frictional or held or mass.angular_velocity is not None or scene.gravity <= 0.0:
+    if not (frictional and counts(mass) and scene.gravity > 0.0):
         return False
     tall = FLAT * height(scene, mass)
     return all(
@@ -90,21 +107,21 @@ def depth_below_top(scene: Scene, mass: Mass, positions: Floats, depth: Floats) 
     return np.asarray(np.maximum(np.interp(positions[:, 0], x, top) - positions[:, 1], 0.0))
 
 
-def foundation(scene: Scene, mass: Mass) -> Mass | None:
-    """The lowest box of the stack below and with a box, if it lies fully on level ground; None if there is none."""
+def foundation(scene: Scene, mass: Mass, counts: Counts = anything) -> Mass | None:
+    """The lowest box of the stack of sheets below and with a box, if it lies fully on level ground; else None."""
     if mass.kind != "box":
         return None
     level = plan_axes(scene.dimension)
     low, size = np.array(mass.lower)[level], np.array(mass.size)[level]
-    counts = [min(SAMPLES, math.ceil(length / scene.domain.cell) + 1) for length in size]
-    axes = [np.linspace(0.0, 1.0, count) for count in counts]
+    numbers = [min(SAMPLES, math.ceil(length / scene.domain.cell) + 1) for length in size]
+    axes = [np.linspace(0.0, 1.0, number) for number in numbers]
     plan = low + size * np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(level))
     if (np.abs(level_ground(scene, plan, mass.lower[1])[0] - mass.lower[1]) <= TOLERANCE).all():
         return mass
     for other in scene.masses:
         flush = other.kind == "box" and abs(other.lower[1] + other.size[1] - mass.lower[1]) <= TOLERANCE
-        if flush and within(plan, other, level).all() and lies_flat(scene, other):
-            return foundation(scene, other)
+        if flush and within(plan, other, level).all() and lies_flat(scene, other, counts):
+            return foundation(scene, other, counts)
     return None
 
 

@@ -35,7 +35,7 @@ from datasets.scene import DOMAIN_SIDES, INFLOW, TOLERANCE, Mass, Scene, keyed
 from datasets.scene.particles import Particles
 from datasets.scene.parts import Water
 from datasets.scene.water import DENSITY
-from mpm.initial.slope import begins_as_slope, ground_beneath, mass_above, sides, within
+from mpm.initial.slope import begins_as_slope, ground_beneath, is_sheet, mass_above, sides, within
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -92,7 +92,7 @@ def stresses(scene: Scene, mass: Mass, positions: Floats) -> Floats:
     _, top = extent(scene, mass, plan)
     water_weight = np.full(len(y), -scene.gravity_vector[1])
     # The ground is the same as for its initial stress.
-    if begins_as_slope(scene, mass):
+    if is_sheet(scene, mass):
         normal, _ = ground_beneath(scene, mass, positions)
         across = normal_weight(scene, normal)
         load = across / normal[:, 1] * mass_above(scene, mass, positions)

@@ -163,8 +163,9 @@ SLOPE = Solid(kind="terrain", points=((0.0, 1.1), (2.0, 0.1)), friction=0.3)
 SHEET = Mass(kind="layer", thickness=0.1, k0="elastic")
 
 
-def on_slope(**water: Any) -> Scene:
-    return wet_scene(SHEET, solids=(SLOPE,), size=(2.0, 1.6), cell=0.02, water=Water(**water))
+def on_slope(k0: float | None = None, **water: Any) -> Scene:
+    sheet = dataclasses.replace(SHEET, k0=k0)
+    return wet_scene(sheet, solids=(SLOPE,), size=(2.0, 1.6), cell=0.02, water=Water(**water))
 
 
 def test_a_pool_buoys_a_sheet_and_its_grains_bear_what_is_left() -> None:
@@ -185,16 +186,17 @@ def test_a_sheet_slides_under_water_by_its_buoyant_weight() -> None:
     assert 2.0 * moved / 0.1**2 == pytest.approx(exact, rel=0.03)
 
 
-def test_pressure_in_a_sheet_is_that_below_its_table() -> None:
+@pytest.mark.parametrize("k0", [None, 0.6])
+def test_pressure_in_a_sheet_is_that_below_its_table(k0: float | None) -> None:
     """At rest below a level one, cos^2 of that below one along the slope; between them without a jump."""
-    positions, p, _ = pressures(on_slope(level=0.6))
+    positions, p, _ = pressures(on_slope(k0, level=0.6))
     top = 1.2 - 0.5 * positions[:, 0]
     at_rest = DENSITY * GRAVITY * (np.minimum(top, 0.6) - positions[:, 1])
     below, above = (top > 0.6) & (at_rest > 0.0), top < 0.5
     assert p[below] == pytest.approx(at_rest[below])
     assert p[above] == pytest.approx(0.8 * at_rest[above])
     along = ((-0.2, 1.25), (2.2, 0.05))
-    positions, p, _ = pressures(on_slope(table=along))
+    positions, p, _ = pressures(on_slope(k0, table=along))
     depth = 1.15 - 0.5 * positions[:, 0] - positions[:, 1]
     assert p == pytest.approx(0.8 * DENSITY * GRAVITY * np.maximum(depth, 0.0), abs=1.0e-6)
 

@@ -21,10 +21,10 @@ FASTER = ((0.25, 0.0, 1.0), (0.75, 8.0, 4.0), (1.0, 0.0, 0.0), (1.25, 0.0, 0.0),
 RECTANGLE = {"section": ((5.0, 14.0, 6.0), (5.0, 14.0, 10.0)), "direction": (1.0, 0.0, 0.0)}
 
 
-def flat(**changes: Any) -> Scene:
+def flat(size: tuple[float, ...] = (4.0, 1.0), cell: float = 0.05, **changes: Any) -> Scene:
     """In 2D through a section at x = 0.5 m."""
     mass = {"kind": "inflow", "section": ((0.5,),), "hydrograph": TRIANGLE} | changes
-    return scene_of(Mass(**mass), size=(4.0, 1.0), cell=0.05, duration=2.0, frame_dt=0.01)
+    return scene_of(Mass(**mass), size=size, cell=cell, duration=2.0, frame_dt=0.01)
 
 
 def valley(**changes: Any) -> Scene:
@@ -37,7 +37,14 @@ def valley(**changes: Any) -> Scene:
 
 
 @pytest.mark.parametrize(
-    "scene", [flat(), flat(hydrograph=tuple((t, q / 8.0, v) for t, q, v in FASTER)), valley(), valley(**RECTANGLE)]
+    "scene",
+    [
+        flat(),
+        flat(hydrograph=tuple((t, q / 8.0, v) for t, q, v in FASTER)),
+        flat((200.0, 50.0), 2.5, hydrograph=((0.0, 100.0, 10.0), (2.0, 50.0, 10.0))),
+        valley(),
+        valley(**RECTANGLE),
+    ],
 )
 def test_mass_and_momentum_that_have_entered_are_those_of_the_hydrograph_to_a_particle(scene: Scene) -> None:
     particles, (time, discharge, speed) = initial_particles(scene), np.array(scene.masses[0].hydrograph).T
