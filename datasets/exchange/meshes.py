@@ -15,7 +15,7 @@ import numpy as np
 from datasets.errors import InputError, require
 from datasets.files import LARGEST, decoded, file_size, reading, replacing
 from datasets.geometry.ground import Floats, Integers
-from datasets.geometry.surface import surface_of
+from datasets.geometry.surface import surface_in_box
 from datasets.processes import end_with_parent, without_main
 from datasets.scene import Scene
 
@@ -114,12 +114,13 @@ def begin_reader() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
-def write_surface(scene: Scene, path: Path) -> None:
+def write_surface(scene: Scene, path: str | Path) -> None:
     """Write the surface of all baffles and solids of a scene in 3D as a mesh, from the box's lower corner on: most
-    formats hold single precision. Raises InputError without solids, in 2D, and for another ending."""
+    formats hold single precision. Solids end at the sides of the box, terrain 8 cells beyond. Raises InputError without
+    solids, in 2D, and for another ending."""
     import meshio
 
-    surface = surface_of(scene)
+    path, surface = Path(path), surface_in_box(scene)
     if surface is None or surface.dimension == 2:
         raise InputError("expected a scene in 3D with baffles or solids", where=str(path))
     require(path.suffix in MESHES, "", f"a name that ends in {' '.join(MESHES)}", repr(path.suffix))

@@ -15,7 +15,7 @@ from datasets.files import replacing
 from datasets.flow.fields import FlowFields
 from datasets.flow.trajectory import Trajectory
 from datasets.forces import momentum
-from datasets.geometry.surface import surface_of
+from datasets.geometry.surface import surface_in_box
 from datasets.scene import Baffle, Mass, Scene
 
 if TYPE_CHECKING:  # VTK takes half a second to import: only who writes or draws pays for it
@@ -60,7 +60,7 @@ class Meshes:
             arrays = {key: values[here] for key, values in self.fields.at_frame(frame).items()}
             data = mesh.point_data
         else:
-            surface = surface_of(scene)
+            surface = surface_in_box(scene)
             assert surface is not None
             count, width = surface.corners.shape[:2]
             faces = np.insert(np.arange(count * width).reshape(count, width), 0, width, axis=1).ravel()

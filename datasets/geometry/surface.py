@@ -69,6 +69,13 @@ def surface_of(scene: SceneLayout) -> Surface | None:
     return surface_in(scene.domain, *solids_of(scene))
 
 
+def surface_in_box(scene: SceneLayout) -> Surface | None:
+    """The same, but solids other than terrain end at the sides of the box, as they are drawn."""
+    if not scene.baffles and not scene.solids:
+        return None
+    return surface_in(scene.domain, *solids_of(scene), continues=False)
+
+
 def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     """All solids of `scene`, in the order of their numbers, and the key of each; without turbulence, so that scenes
     that differ only in turbulence share their surface."""
@@ -83,9 +90,10 @@ def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
 
 
 @lru_cache(maxsize=8)
-def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...]) -> Surface:
-    """The surface of `solids` in a box and some cells beyond, inf friction without slip; errors name the keys."""
-    bodies = [body_of(*solid_and_key, domain) for solid_and_key in zip(solids, keys, strict=True)]
+def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...], *, continues: bool = True) -> Surface:
+    """The surface of `solids` in a box and, if it continues, some cells beyond, inf friction without slip; errors name
+    the keys."""
+    bodies = [body_of(*solid_and_key, domain, continues) for solid_and_key in zip(solids, keys, strict=True)]
     surface = boundary(bodies, CLOSING * domain.cell)
     margin, high = KEPT * domain.cell, np.array(domain.size)
     low, top = surface.corners.min(axis=1), surface.corners.max(axis=1)
@@ -107,14 +115,14 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
     return surface.chosen(np.asarray(surface.normals.any(axis=1)))  # triangles without area have no normal
 
 
-def body_of(solid: Solid, key: str, box: Domain) -> Body:
-    """The surface of `solid`, continued where it meets a side of the box. Raises InputError."""
+def body_of(solid: Solid, key: str, box: Domain, continues: bool) -> Body:
+    """The surface of `solid`, where it meets a side of the box cut off or continued. Raises InputError."""
     body = closed_body(solid, key, box)
     thinnest = float(np.ptp(body.vertices, axis=0).min())
     require(thinnest > TOUCHING, key, f"a solid thicker than {TOUCHING:g} m", f"one of {thinnest:.3g} m")
     for axis, side in itertools.product(() if solid.kind == "terrain" else (0, 2, 1), (0, 1)):  # the floor last
         if axis < box.dimension:
-            body = continued(body, axis, side, box)
+            body = ended(body, axis, side, box, continues)
     return body
 
 
@@ -175,9 +183,9 @@ def raster_body(x: Floats, z: Floats, heights: Floats, friction: Floats, *, deep
     return Body(vertices=vertices, faces=faces, friction=friction, key=key, grows=False)
 
 
-def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
-    """The body cut off at a side of the box (0 or 1 of `axis`) and, if it reaches the side, continued beyond. Raises
-    InputError if nothing of it lies in the box."""
+def ended(body: Body, axis: int, side: int, box: Domain, continues: bool) -> Body:
+    """The body cut off at a side of the box (0 or 1 of `axis`); if it reaches the side and `continues`, then from there
+    on straight beyond. Raises InputError if nothing of it lies in the box."""
     limit, out = (box.size[axis], 1.0) if side else (0.0, -1.0)
     within = replace(body, vertices=snapped(body.vertices, axis, limit))
     height = out * (within.vertices[:, axis] - limit)
@@ -187,4 +195,6 @@ def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
     if height.max() > 0.0:
         within = (cut_ring if planar else cut_surface)(within, axis, limit, out)
         within = replace(within, vertices=snapped(within.vertices, axis, limit))
+    if not continues:
+        return within
     return (lengthened_ring if planar else lengthened_surface)(within, axis, limit, out * BEYOND * box.cell) or body

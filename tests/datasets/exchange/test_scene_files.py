@@ -334,8 +334,8 @@ def test_what_is_wrong_with_a_line_names_its_file(tmp_path: Path, table: str, ke
 
 @pytest.mark.parametrize("name", ["solids.stl", "solids.ply", "solids.vtu"])
 def test_the_surface_of_solids_is_written_as_a_mesh(tmp_path: Path, name: str) -> None:
-    loaded = scene(tmp_path, SPACE + BODY_3D + "[[solids]]\nlower = [0.5, 0.2, 0.2]\nsize = [0.4, 0.3, 0.2]\n")
-    write_surface(loaded, tmp_path / name)
+    loaded = scene(tmp_path, SPACE + BODY_3D + "[[solids]]\nlower = [0.5, 0.0, 0.2]\nsize = [0.4, 0.3, 0.2]\n")
+    write_surface(loaded, str(tmp_path / name))
     assert manifold(*outward(*read_mesh(tmp_path / name), "")).volume() == pytest.approx(0.4 * 0.3 * 0.2, rel=1e-5)
     assert "ends in .stl" in str(refused(write_surface, loaded, tmp_path / "solids.txt"))
     assert "in 3D with" in str(refused(write_surface, scene(tmp_path, SPACE + BODY_3D), tmp_path / name))

@@ -104,6 +104,8 @@ def test_solids_are_a_surface_of_their_own(tmp_path: Path, flow: Trajectory) -> 
     assert set(np.unique(solids["solid"])) == {0, 1, 2, 3}  # baffles first, then the terrain and the wall
     np.testing.assert_array_equal(np.unique(solids["friction"][solids["solid"] == 2]), np.float32(0.5))
     assert np.isinf(solids["friction"][solids["solid"] == 3]).all()
+    low = solids.extract_cells(np.flatnonzero(solids["solid"] == 3)).bounds[4]
+    assert low == pytest.approx(0.0, abs=1e-6)  # the wall ends at the side of the box
     for number in range(4):
         faces = solids["solid"] == number
         np.testing.assert_array_equal(np.unique(solids["impulse"][faces], axis=0)[0], flow.solid_impulse[2, number])
