@@ -12,7 +12,6 @@ class _Callable(ModuleType):
     """This module, callable: importing it hides the function `inverse.adapt`, so the module acts as that function."""
 
     def __call__(self, *args: Any, **options: Any) -> Path:
-        """See `inverse.adaptation.adapt`."""
         from inverse.adaptation import adapt
 
         return adapt(*args, **options)

@@ -51,6 +51,7 @@ TRAINING = TrainingSettings(
 )
 """Settings for the training of a correction with the flows of one problem."""
 EXPECTED_SCATTER = 0.01  # expected scatter of fronts from jitter to jitter, over the extent, before any run
+ERRORS = ("front", "profile", "height", "thickness")  # that the command prints, before and after
 KEPT = 8  # particles stored per cell of the model; a training sample uses one of them
 
 
@@ -73,8 +74,7 @@ def adapt(
     runs: MPM runs, of which a fifth is held out; minutes: training time; model: the model to start from, by default the
     shipped one; jobs: parallel processes, by default one per processor; seed: of the parameters, jitters and samples.
     The same call again resumes. Raises InputError for a problem that no surrogate can learn or if `out` belongs to
-    another problem, and WorkFailed if an MPM run fails.
-    """
+    another problem, and WorkFailed if an MPM run fails."""
     asked, out = problem if isinstance(problem, Problem) else read_problem(problem), Path(out)
     weights = model_path(model or shipped(asked.scene))
     begun = checkpoint.load(weights)
@@ -86,8 +86,7 @@ def adapt(
     require(runs >= FEWEST, "--runs", f"at least {FEWEST} runs, of which two are held out", runs)
     flows = definition(asked, runs, settings, seed=seed)
     entries = flows.entries(seed=seed)
-    jobs = processors() if jobs is None else jobs
-    training = dataclasses.replace(TRAINING, minutes=minutes)
+    jobs, training = processors() if jobs is None else jobs, dataclasses.replace(TRAINING, minutes=minutes)
     if other := other_problem(out, asked):
         raise InputError(f"expected a new folder, or one of {asked.name}, it is of {other}", where=str(out))
     try:
@@ -110,8 +109,10 @@ def adapt(
     described = card.read(best)
     assert described is not None, "the training has written it"
     card.write(best, dataclasses.replace(described, scores=table(after)).keeping({DATA: calibrated(after)}))
-    errors = f"{change(before, after)} on {len(held_out)} held-out flows"
-    print(f"{simulated}, {minutes:.1f} minutes of training, {errors}{scatter(deposits(out, asked), asked)}")
+    old, new = measures.amounts(before), measures.amounts(after)
+    errors = [f"{name} {100.0 * old[name]:.1f} -> {100.0 * new[name]:.1f} %" for name in ERRORS]
+    errors[-1] += f" on {len(held_out)} held-out flows{scatter(deposits(out, asked), asked)}"
+    print(f"{simulated}, {minutes:.1f} minutes of training, {', '.join(errors)}")
     return best
 
 
@@ -156,12 +157,6 @@ def scored(simulator: Simulator, flows: Sequence[Flow], name: str) -> list[Score
     return [evaluate(simulator, [flow])[0] for flow in tqdm(flows, desc=f"{name}: held out", unit="flow", leave=False)]
 
 
-def change(before: Sequence[Score], after: Sequence[Score]) -> str:
-    old, new = measures.amounts(before), measures.amounts(after)
-    names = ("front", "profile", "height", "thickness")
-    return ", ".join(f"{name} {100.0 * old[name]:.1f} -> {100.0 * new[name]:.1f} %" for name in names)
-
-
 def scatter(runs: Sequence[tuple[Vector, Trajectory]], problem: Problem) -> str:
     """In words, the scatter of the MPM's fronts from jitter to jitter, below which no model's error can fall."""
     if len(runs) < fewest_runs(len(problem.numbers)):
@@ -175,9 +170,7 @@ def scatter(runs: Sequence[tuple[Vector, Trajectory]], problem: Problem) -> str:
 
 def deposits(model: Path | str, problem: Problem) -> list[tuple[Vector, Trajectory]]:
     """Parameters and deposits, with all particles, of the MPM runs that adapted a model to `problem`.
-
-    model: its folder or its file. Empty if it was adapted to another problem. Raises InputError for a broken file.
-    """
+    model: its folder or its file. Empty if it was adapted to another problem. Raises InputError for a broken file."""
     run = Path(model) if Path(model).is_dir() else Path(model).parent
     if other := other_problem(run, problem):
         warnings.warn(f"{run}: its runs of the MPM are of {other}, and are not used", stacklevel=2)

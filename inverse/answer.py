@@ -19,8 +19,7 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from inverse.search.waves import ModelRun
 
-MAX_NUMBERS = 100
-"""Longest observation that is written to files: a whole deposit would add thousands of numbers per iteration."""
+MAX_NUMBERS = 100  # longest observation in files: a whole deposit would add thousands of numbers per iteration
 IDENTIFIABLE = 0.3  # largest half-width, over the range, of an identifiable combination of parameters
 UNIFORM = 0.475  # half-width of a uniform prior, over the range
 
@@ -28,8 +27,7 @@ UNIFORM = 0.475  # half-width of a uniform prior, over the range
 class Verdict(StrEnum):
     """The verdict of the MPM on the answer."""
 
-    CONFIRMED = "confirmed"
-    """One answer, which the observation identifies; the MPM at the answer lies within the predictive interval."""
+    CONFIRMED = "confirmed"  # one answer, which the observation identifies and the MPM predicts within its interval
     AMBIGUOUS = "ambiguous"  # the MPM lies within it at several separate answers, or over a whole range of parameters
     UNCONFIRMED = "unconfirmed"
     UNREACHABLE = "unreachable"  # the MPM lies within it for no parameters within the bounds
@@ -65,16 +63,11 @@ class MpmRun(ModelRun):
         return cls(parameters=parameters, point=point, numbers=numbers, trajectory=flow, **others)
 
     def as_json(self, problem: Problem, target: Target) -> dict[str, Any]:
-        return {
-            "purpose": self.purpose.value,
-            "unknowns": problem.named(self.parameters),
-            "observation": plain(self.numbers),
-            "front": measures.front(self.trajectory.positions[-1], self.trajectory.volumes),
-            "front_error_pct": 100.0 * target.front_error(self.trajectory),
-            "loss": target.misfit(self.numbers),
-            "seconds": self.seconds,
-            "file": self.file,
-        }
+        front = measures.front(self.trajectory.positions[-1], self.trajectory.volumes)
+        run = {"purpose": self.purpose.value, "unknowns": problem.named(self.parameters)}
+        seen = {"front": front, "front_error_pct": 100.0 * target.front_error(self.trajectory)}
+        cost = {"loss": target.misfit(self.numbers), "seconds": self.seconds, "file": self.file}
+        return {**run, "observation": plain(self.numbers), **seen, **cost}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,9 +123,8 @@ def judge(problem: Problem, answers: Sequence[Answer], *, unreachable: bool = Fa
 
 def unidentified(problem: Problem, answer: Answer) -> list[str]:
     """The numbers whose interval covers most of the prior's, or half as much if a positive number may be near 0."""
-    names = []
-    both = zip(answer.parameters, answer.half_widths, problem.prior_widths, strict=True)
-    for number, (value, width, prior) in zip(problem.numbers, both, strict=True):
+    names, widths = [], zip(answer.parameters, answer.half_widths, problem.prior_widths, strict=True)
+    for number, (value, width, prior) in zip(problem.numbers, widths, strict=True):
         length = 2.0 * width / prior
         relative = number.kind.positive and width > abs(value) and length > 0.5 * CONSTANTS.most_of_the_prior
         if relative or length > CONSTANTS.most_of_the_prior:
@@ -144,7 +136,7 @@ def plain(values: Values) -> float | list[Any] | None:
     """An observation for JSON: a number if it has one number, null if it is a whole deposit."""
     if len(values) > MAX_NUMBERS:
         return None
-    return float(values[0]) if len(values) == 1 else [float(value) for value in values]
+    return float(values[0]) if len(values) == 1 else [*map(float, values)]
 
 
 def peak_memory_mib() -> float:

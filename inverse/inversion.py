@@ -35,8 +35,7 @@ def invert(
 
     forward: by default the surrogate, unless the problem says "none"; model: weights, by default the shipped ones;
     out: folder for `result.json`, `report.md` and pictures. Fields are found with the MPM's adjoint, together with
-    their posterior. Raises InputError for an unsupported combination, and WorkFailed if a run blows up.
-    """
+    their posterior. Raises InputError for an unsupported combination, and WorkFailed if a run blows up."""
     _ = problem.operators
     if out is not None:
         make_folder(Path(out))
@@ -79,12 +78,12 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
     inference = inverted(forward, problem, target, scatter, rough=1.0 if by_mpm else ROUGH)
     places = [(box.at(region.point), box.at(region.interval), region.weight) for region in inference.regions]
     answers = tuple(Answer(parameters=point, interval=ends, weight=weight) for point, ends, weight in places)
-    misfits = [target.observation.misfit(run.numbers, inference.target.values) for run in inference.runs]
+    loss = partial(target.observation.misfit, target=inference.target.values)
+    steps = [{"unknowns": problem.named(box.at(run.point)), "loss": loss(run.numbers)} for run in inference.runs]
     (predicted,) = forward.observe([answers[0].parameters])
     deposit = forward.deposit(answers[0].parameters)
     total = time.perf_counter() - began
-    flows = len(misfits) + 2 + int(problem.target.twin)
-    loss = {"mpm" if by_mpm else "surrogate": target.observation.misfit(predicted, inference.target.values)}
+    losses = {"mpm" if by_mpm else "surrogate": loss(predicted), "initial": steps[0]["loss"]}
     return Result(
         problem=problem,
         target=target,
@@ -93,12 +92,9 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
         forward="MPM" if by_mpm else "surrogate",
         predicted=predicted,
         deposit=deposit,
-        iterations=[
-            {"unknowns": problem.named(box.at(run.point)), "loss": misfit}
-            for run, misfit in zip(inference.runs, misfits, strict=True)
-        ],
+        iterations=steps,
         posterior=inference.posterior,
         without=left_out(inference),
-        seconds={"per_iteration": total / len(misfits), "mpm": total if by_mpm else 0.0, "total": total},
-        record={"loss": loss | {"initial": misfits[0]}} | ({"flows": flows} if by_mpm else {}),
+        seconds={"per_iteration": total / len(steps), "mpm": total if by_mpm else 0.0, "total": total},
+        record={"loss": losses} | ({"flows": len(steps) + 2 + problem.target.twin} if by_mpm else {}),
     )

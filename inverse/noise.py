@@ -42,27 +42,21 @@ from inverse.observations.target import Target
 
 SMOOTH = 0.3
 """Correlation length of the error of the cells, over the numbers of an observation, if no run has shown its shape. For
-
 eight fronts of a column over time (cells of 20, 10 and 5 mm) the change by finer cells beyond the known shape changes
-sign once, like a Gaussian process of this length (docs/theory/uncertainty.md).
-"""
+sign once, like a Gaussian process of this length (docs/theory/uncertainty.md)."""
 CONFIDENCE = 0.99  # share of right answers that lie within the predictive interval
 RARE = 0.05  # a misfit that chance exceeds less often than this widens half-widths
 PRIOR_FREEDOM = 2.0  # degrees of freedom of the expected scatter, added to those of repeated runs
-FLOOR = 1.0e-6
-"""Smallest variance of a number over the largest one: rounding, for a number that does not vary at all."""
+FLOOR = 1.0e-6  # smallest variance of a number over the largest one: rounding, for a number that does not vary at all
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
     """The scatter of flows that differ only in their jitter seed."""
 
-    deviations: Floats
-    """Deviations of runs from the mean of runs at the same parameters, shape [n, M]."""
-    freedom: int
-    """nu_c: number of runs minus number of means."""
-    expected: Floats
-    """Expected standard deviation of each number before any run, shape [M]."""
+    deviations: Floats  # deviations of runs from the mean of runs at the same parameters, shape [n, M]
+    freedom: int  # nu_c: number of runs minus number of means
+    expected: Floats  # expected standard deviation of each number before any run, shape [M]
 
     @classmethod
     def of_runs(cls, points: Floats, numbers: Floats, expected: Floats) -> "Scatter":
@@ -90,8 +84,7 @@ class Scatter:
 
         c is the sample correlation and q the share that minimises the expected error of a Gaussian sample towards the
         identity (oracle approximating shrinkage: Chen, Wiesel, Eldar & Hero, IEEE Trans. Signal Process. 58 (2010)
-        5016-5029, eq. 23).
-        """
+        5016-5029, eq. 23)."""
         count, size = self.deviations.shape
         square = (self.deviations**2).sum(axis=0) / self.freedom
         scaled = self.deviations / np.sqrt(np.maximum(square, FLOOR * max(float(square.max()), 1e-12)))
@@ -109,30 +102,18 @@ class Scatter:
 class Fit:
     """The fit of the MPM at an answer to the observation."""
 
-    residual: float
-    """Root mean square of r, in the unit of the numbers."""
-    noise: float
-    """Root mean square of n."""
-    scatter: float
-    """Root mean square of c."""
-    cells: float
-    """Root mean square of d."""
-    ratio: float
-    """S."""
-    freedom: tuple[float, float]
-    """h and nu."""
-    numbers: int
-    """M."""
-    parameters: int
-    """U."""
-    outliers: dict[int, float] = field(default_factory=dict)
-    """Numbers that the others do not predict -> z (`outlying`)."""
-    alone: float | None = None
-    """F of noise and scatter alone, if that makes the residuals more likely."""
-    applied: float = 1.0
-    """The applied F, as reported."""
-    spared: bool = False
-    """Whether it was applied to noise and scatter alone."""
+    residual: float  # root mean square of r, in the unit of the numbers
+    noise: float  # root mean square of n
+    scatter: float  # root mean square of c
+    cells: float  # root mean square of d
+    ratio: float  # S
+    freedom: tuple[float, float]  # h and nu
+    numbers: int  # M
+    parameters: int  # U
+    outliers: dict[int, float] = field(default_factory=dict)  # numbers that the others do not predict -> z (`outlying`)
+    alone: float | None = None  # F of noise and scatter alone, if that makes the residuals more likely
+    applied: float = 1.0  # the applied F, as reported
+    spared: bool = False  # whether it was applied to noise and scatter alone
 
     @property
     def allowed(self) -> float:
@@ -188,9 +169,7 @@ def fit(
     slopes: Floats | None = None,
 ) -> Fit:
     """The fit of runs at one answer, with results `shown` [k, M].
-
-    cells: d [M]; extrapolated: see `biases`; parameters: how many were fitted; slopes: by them [U, M], for `outlying`.
-    """
+    cells: d [M]; extrapolated: see `biases`; parameters: number fitted; slopes: by them [U, M], for `outlying`."""
     share, residual = 1.0 + 1.0 / len(shown), shown.mean(axis=0) - target.values
     errors, variance = target.errors, share * scatter.variance
     independent = errors.deviation**2
@@ -263,8 +242,7 @@ def outlying(residual: Floats, covariance: Floats) -> dict[int, float]:
 
     leaves out one number after the other (Dubrule, Cross validation of kriging in a unique neighborhood, Math. Geol. 15
     (1983) 687-699). The worst one is removed and the others are judged again, because it has affected all of them.
-    Without an agreeing majority none is named: of two numbers that contradict each other either may be wrong.
-    """
+    Without an agreeing majority none is named: of two numbers that contradict each other either may be wrong."""
     limit = float(norm.isf(0.5 * (1.0 - CONFIDENCE) / len(residual)))
     scale, left, outliers = np.sqrt(np.diag(covariance)), np.arange(len(residual)), {}
     correlation = covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))

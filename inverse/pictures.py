@@ -36,12 +36,8 @@ from inverse.result import Result
 Deposit = NDArray[np.floating]
 COLOURS = {"target": "#222222", "surrogate": "#d95f02", "MPM": "#1b6ca8"}
 """One colour per deposit, the same in every picture."""
-OUTLINES: dict[str, tuple[Literal[":", "-", "--"], str, str]] = {
-    "start": (":", "#777777", "baffle at the start"),
-    "found": ("-", "#1b6ca8", "baffle found"),
-    "truth": ("--", "#222222", "baffle in truth"),
-}
-"""Line, colour and meaning of the outline of a baffle."""
+LINES: dict[str, Literal[":", "-", "--"]] = {"at the start": ":", "found": "-", "in truth": "--"}  # of a baffle
+INKS = {"at the start": "#777777", "found": "#1b6ca8", "in truth": "#222222"}
 HEIGHTS = "viridis"  # colours of the heights in a plan view
 CONTOURS = 12  # approximate number of contour lines of the ground
 LINE = "#b2182b"
@@ -89,7 +85,7 @@ def plot(result: Result) -> Figure:
     figure, axes = plt.subplots(rows, 1, figsize=(WIDTH, rows * height), layout="constrained")
     for axis, (name, deposit) in zip(axes, shown.items(), strict=False):
         # The baffles that this flow met are drawn filled.
-        filled = "truth" if name == "target" and "truth" in scenes else "found"
+        filled = "in truth" if name == "target" and "in truth" in scenes else "found"
         paint(axis, deposit, COLOURS[name], scenes, filled, top)
         surroundings(axis, result, scenes["found"])
         axis.set_title(f"{name}: {mark(axis, result, deposit, COLOURS[name])}")
@@ -107,9 +103,9 @@ def plot(result: Result) -> Figure:
 def standings(result: Result) -> dict[str, Scene]:
     """The scene with its baffles at the start of the search, as found and, if known, in truth."""
     problem, truth = result.problem, result.target.truth
-    scenes = {"start": problem.scene_at(problem.initial), "found": problem.scene_at(result.answer)}
+    scenes = {"at the start": problem.scene_at(problem.initial), "found": problem.scene_at(result.answer)}
     if truth:
-        scenes["truth"] = problem.scene_at(np.array([truth[name] for name in problem.names]))
+        scenes["in truth"] = problem.scene_at(np.array([truth[name] for name in problem.names]))
     # Baffles that never moved are drawn once.
     moved = any(scene.baffles != scenes["found"].baffles for scene in scenes.values())
     return scenes if moved else {"found": scenes["found"]}
@@ -127,11 +123,10 @@ def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene]
         dots = float(np.clip(40_000.0 / len(deposit), 3.0, 14.0))
         axis.scatter(x, z, c=y, s=dots, cmap=HEIGHTS, vmin=0.0, vmax=top, linewidths=0, rasterized=True)
     for name, scene in scenes.items():
-        line, ink, label = OUTLINES[name]
         for baffle in scene.baffles:
             box = Rectangle((baffle.lower[0], baffle.lower[across]), baffle.size[0], baffle.size[across], zorder=4)
-            box.set(facecolor="#d9d9d9" if name == filled else "none", edgecolor=ink, linestyle=line, linewidth=1.3)
-            box.set_label(label)
+            box.set(facecolor="#d9d9d9" if name == filled else "none", edgecolor=INKS[name], linewidth=1.3)
+            box.set(linestyle=LINES[name], label=f"baffle {name}")
             axis.add_patch(box)
     axis.set(xlim=(0.0, size[0]), ylim=(0.0, top if across == 1 else size[2]), aspect="equal")
     axis.set(xlabel="x [m]", ylabel=f"{'xyz'[across]} [m]")

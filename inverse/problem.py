@@ -1,6 +1,7 @@
 """Problem: the unknowns, the observations and the search settings. Read from TOML or built in Python."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -166,9 +167,7 @@ class Problem(ProblemKeys):
 
     def scene_at(self, values: Vector, seed: int | None = None, fields: Sequence[Floats] = ()) -> Scene:
         """The scene with numbers `values` [U] and, if given, another jitter `seed`. Raises InputError.
-
-        fields: values [K] of each unknown field; default: the medians of their priors.
-        """
+        fields: values [K] of each unknown field; default: the medians of their priors."""
         scene = with_kinds(self.scene, self.kinds, values)
         given = fields or [unknown.median for unknown in self.fields]
         for unknown, field_values in zip(self.fields, given, strict=True):
@@ -272,12 +271,11 @@ class Problem(ProblemKeys):
         """Raise InputError for fields that the adjoint cannot find, or a twin without their truth."""
         indices = [index for index, parameter in enumerate(self.parameters) if parameter.is_field]
         for index, unknown in zip(indices, self.fields, strict=True):
-            settings = unknown.settings
             with keyed(f"unknowns[{index}]"):
                 unknown.check_bounds(self.scene)
                 true = not self.target.twin or unknown.truth(self.scene) is not None
-                require(true, "name", f"a scene with a field of {settings.name} as the truth", "none")
-            if settings.quantity == FRICTION:
+                require(true, "name", f"a scene with a field of {unknown.settings.name} as the truth", "none")
+            if unknown.settings.quantity == FRICTION:
                 expected = "a body without initial stress, whose yield depends on an unknown friction"
                 for number, mass in enumerate(self.scene.masses):
                     require(mass.k0 is None, f"scene.masses[{number}].k0", expected, mass.k0)
@@ -288,16 +286,14 @@ class Problem(ProblemKeys):
         require(not self.correlations, "correlations", "none beside a field", "some")
         released = any(unknown.settings.quantity == THICKNESS for unknown in self.fields)
         for index, observation in enumerate(self.observations):
-            operator, noise = observation.operator_type, observation.noise
-            require(
-                not isinstance(noise, Student), f"observations[{index}].noise", "a normal noise beside a field", noise
-            )
+            operator, noise, kind = observation.operator_type, observation.noise, observation.kind
             weighed = not released or operator.dense
-            expected = "an observation by the volumes of a run itself (thickness, outline) beside an unknown thickness"
-            require(weighed, f"observations[{index}].kind", expected, observation.kind)
+            by_volume = "an observation by the volumes of a run itself (thickness, outline) beside an unknown thickness"
             jointly = (operator.of_positions or operator.dense) and not operator.every_particle
-            expected = "an observation of positions of few numbers"
-            require(jointly, f"observations[{index}].kind", expected, observation.kind)
+            with keyed(f"observations[{index}]"):
+                require(not isinstance(noise, Student), "noise", "a normal noise beside a field", noise)
+                require(weighed, "kind", by_volume, kind)
+                require(jointly, "kind", "an observation of positions of few numbers", kind)
         expected = f"none of the {len(self.seeds)} seeds from {self.seeds[0]} on, which the search has"
         other = self.target.seed not in self.seeds or not self.target.twin
         require(other, "target.seed", expected, self.target.seed)
@@ -316,26 +312,22 @@ def read_problem(name: str | Path) -> Problem:
         file = from_mapping(_File, data)
         # The path of a scene is relative to the problem's file; a shipped scene is given by its name.
         scene = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
-        keys = vars(file) | {"name": path.stem, "folder": path.parent, "scene": scene}
-        if scene.domain.origin is None:
-            return likely(Problem(parameters=keys.pop("unknowns"), **keys))
-        moved = []
+        observations = []
         for index, settings in enumerate(file.observations):
             with keyed(f"observations[{index}]"):
-                moved.append(settings.in_box(scene.domain.corner))
-        keys["observations"] = tuple(moved)
+                observations.append(settings if scene.domain.origin is None else settings.in_box(scene.domain.corner))
+        keys = vars(file) | {"name": path.stem, "folder": path.parent, "scene": scene}
+        keys |= {"observations": tuple(observations), "parameters": keys.pop("unknowns")}
         try:
-            return likely(Problem(parameters=keys.pop("unknowns"), **keys))
+            problem = Problem(**keys)
         except InputError as error:
-            number, _, key = error.key.removeprefix("observations[").partition("]")
-            if number == error.key or key[1:] not in ("", *file.observations[int(number)].places):
+            seen = re.fullmatch(r"observations\[(\d+)\]\.?(.*)", error.key)
+            of_place = seen is not None and seen[2] in ("", *file.observations[int(seen[1])].places)
+            if scene.domain.origin is None or not of_place:
                 raise
             place = ", ".join(f"{coordinate:.10g}" for coordinate in scene.domain.origin)
             message = f"{error.message}; lengths count from the corner of the box here, {place} on the map"
             raise InputError(message, key=error.key) from None
-
-
-def likely(problem: Problem) -> Problem:
-    """The same problem, with a UserWarning for each number whose bounds look like another unit's."""
-    warn_if_unlikely(problem.scene_at(problem.box.upper))
-    return problem
+        # A UserWarning for each number whose bounds look like another unit's.
+        warn_if_unlikely(problem.scene_at(problem.box.upper))
+        return problem

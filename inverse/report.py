@@ -19,27 +19,24 @@ from inverse.residuals import outlying, residuals
 from inverse.result import Result
 
 NAMED = 4  # with more unknowns the conclusion gives the range of their half-widths, and tables omit them
-MAIN = 0.3
-"""A combination names those of its `NAMED` heaviest parameters whose weight is at least this share of the largest."""
+MAIN = 0.3  # a combination names those of its `NAMED` heaviest parameters with this share of the largest weight or more
 SUGGESTED = 3  # number of measurements, and of identifiable combinations, that the conclusion names
-DECISIVE = 0.2
-"""Smallest information [nat] of a measurement that the conclusion names: the noise of few runs can feign less."""
+DECISIVE = 0.2  # least information [nat] of a measurement in the conclusion: the noise of few runs can feign less
 LARGER, FINEST = 1.5, 8.0
 """Error of the cells over the noise above which the report advises finer cells, and up to which it gives their size."""
 
 
 def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
     """The text of the report in `folder`; pictures: names of the picture files beside it."""
-    parts = [f"# {result.problem.name}: {result.verdict}", "\n".join(f"- {line}" for line in conclusion(result))]
-    made = [f"`{result.command}`"] if result.command else []
-    if any(run.file for run in result.mpm_runs):
-        made.append(f"In a browser: `python -m validation.view {shlex.quote(str(folder))}`")
-    parts += ["; ".join(made), question(result)]
 
     def shown(name: str, text: str) -> str:
         return f"![{text}]({name})" if name in pictures else ""
 
-    parts.append(shown("unknowns.png", "unknowns"))
+    made = [f"`{result.command}`"] if result.command else []
+    if any(run.file for run in result.mpm_runs):
+        made.append(f"In a browser: `python -m validation.view {shlex.quote(str(folder))}`")
+    parts = [f"# {result.problem.name}: {result.verdict}", "\n".join(f"- {line}" for line in conclusion(result))]
+    parts += ["; ".join(made), question(result), shown("unknowns.png", "unknowns")]
     if len(result.answers) > 1:
         parts += ["## Every separate answer", every_answer(result)]
     for field in result.fields:
@@ -137,8 +134,7 @@ def angles(result: Result) -> str:
     scene, parts = result.scene, []
     for number in result.problem.numbers:
         if number.quantity == "friction_deg" and (changed := changed_material(scene, number.name)):
-            material = changed[1]
-            both = f"φ = {material.phi_deg:.2f} deg (triaxial), {material.slope_deg:.2f} deg on a slope"
+            both = f"φ = {changed[1].phi_deg:.2f} deg (triaxial), {changed[1].slope_deg:.2f} deg on a slope"
             parts.append(f"`{number.name}` means {both}")
     return sentence(parts)
 
@@ -239,9 +235,8 @@ def every_answer(result: Result) -> str:
     rows = []
     for answer in result.answers:
         row = with_intervals(result, answer.parameters.tolist(), answer.interval.T.tolist())
-        row["share of the posterior"] = f"{100.0 * answer.weight:.0f} %"
-        row["the MPM there"] = "not asked" if answer.fit is None else distance(result, answer)
-        rows.append(row)
+        there = "not asked" if answer.fit is None else distance(result, answer)
+        rows.append(row | {"share of the posterior": f"{100.0 * answer.weight:.0f} %", "the MPM there": there})
     return markdown_table(rows)
 
 
@@ -319,16 +314,13 @@ def uncertainty(result: Result) -> list[str]:
         parts.append(f"The measured heights scatter about their neighbours by {times}, which is used instead.")
     if len(result.combinations) > 1:
         words = {True: "**Identifiable**", False: "**Not identifiable**"}
-        known = [f"- {words[mixed.identifiable]}: {mix(mixed, ',')}." for mixed in result.combinations]
-        parts.append("\n".join(known))
+        parts.append("\n".join(f"- {words[row.identifiable]}: {mix(row, ',')}." for row in result.combinations))
     return parts
 
 
 def finer(result: Result) -> str:
-    """The cell size whose error would equal the noise, and its cost; empty unless the scene's cells err more.
-
-    The error is proportional to the cell minus the target's, 0 in nature; work to (1 / cell)^(dimension + 1).
-    """
+    """The cell size whose error would equal the noise, and its cost; empty unless the scene's cells err more. The error
+    is proportional to the cell minus the target's, 0 in nature; work to (1 / cell)^(dimension + 1)."""
     fit, cell, target_cell = result.answers[0].fit, result.problem.scene.domain.cell, result.target.cell or 0.0
     if fit is None or not 0.0 < LARGER * fit.noise < fit.cells or target_cell >= cell:
         return ""

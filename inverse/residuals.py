@@ -50,26 +50,20 @@ class Residuals:
         order = np.arange(len(self.observed))
         if len(order) > LISTED:
             order = np.sort(np.argsort(-np.abs(self.standardised))[:WORST])
-        label, places = self.part.observation.places
-        return [
-            {
-                "observation": self.part.name,
-                "at": f"{label.split(' [')[0]} {places[n]:.4g}",
-                "observed": f"{self.observed[n]:.4g} {self.part.observation.unit}".rstrip(),
-                "predicted (median)": f"{self.median[n]:.4g} {self.part.observation.unit}".rstrip(),
-                "95 % band": f"{self.lower[n]:.4g} to {self.upper[n]:.4g}",
-                "standardised residual": f"{self.standardised[n]:+.2f}",
-            }
-            for n in order
-        ]
+        (label, places), unit, rows = self.part.observation.places, self.part.observation.unit, []
+        for n in order:
+            row = {"observation": self.part.name, "at": f"{label.split(' [')[0]} {places[n]:.4g}"}
+            for name, values in (("observed", self.observed), ("predicted (median)", self.median)):
+                row[name] = f"{values[n]:.4g} {unit}".rstrip()
+            row["95 % band"] = f"{self.lower[n]:.4g} to {self.upper[n]:.4g}"
+            rows.append(row | {"standardised residual": f"{self.standardised[n]:+.2f}"})
+        return rows
 
 
 def residuals(result: Result) -> list[Residuals]:
     """The residuals of every observation; none without a posterior, or if it is of single particles of a deposit."""
     posterior, target = result.posterior, result.target
-    if posterior is None or len(posterior.reduction.mean) != len(target.values):
-        return []
-    if any(part.observation.every_particle for part in target.observation.parts):
+    if posterior is None or len(posterior.reduction.mean) != len(target.values) or target.observation.every_particle:
         return []
     rng = np.random.default_rng(result.problem.optimiser.seed)
     points = posterior.samples.drawn(len(posterior.samples.points), rng)

@@ -99,7 +99,7 @@ class Result:
     @property
     def run_count(self) -> int:
         """Number of MPM runs: search, checks, other cells, coarse surrogate and the twin's own flow."""
-        runs = len(self.mpm_runs) + self.record.get("coarse_runs", 0) + int(self.problem.target.twin)
+        runs = len(self.mpm_runs) + self.record.get("coarse_runs", 0) + self.problem.target.twin
         return int(self.record.get("flows", runs))
 
     @property
@@ -172,22 +172,16 @@ class Result:
         if target.profile is not None:
             observation["profile"] = {"x": target.profile.x.tolist(), "height": target.profile.height.tolist()}
         same = len(self.predicted) == len(target.values)
-        answers = [
-            {
-                "unknowns": problem.named(answer.parameters),
-                "interval": problem.named(answer.interval.T),
-                "half_widths": problem.named(answer.half_widths),
-                "weight": answer.weight,
-                "misfit": target.misfit(answer.observation) if answer.checks else None,
-            }
-            for answer in self.answers
-        ]
+        answers, scene = [], problem.scene
+        for answer in self.answers:
+            shown = {"unknowns": answer.parameters, "interval": answer.interval.T, "half_widths": answer.half_widths}
+            misfit = target.misfit(answer.observation) if answer.checks else None
+            named = {name: problem.named(numbers) for name, numbers in shown.items()}
+            answers.append(named | {"weight": answer.weight, "misfit": misfit})
         keys: dict[str, Any] = {
             "problem": problem.name,
-            "solids": [[solid.name, solid.kind] for solid in problem.scene.solids],
-            "angle": {
-                name: found[1].angle for name in problem.names if (found := changed_material(problem.scene, name))
-            },
+            "solids": [[solid.name, solid.kind] for solid in scene.solids],
+            "angle": {name: found[1].angle for name in problem.names if (found := changed_material(scene, name))},
             "verdict": self.verdict.value,
             "unknowns": self.unknowns,
             "interval": self.interval,

@@ -54,10 +54,8 @@ def read_samples(path: Path) -> tuple[list[str], Matrix]:
 
 def known_of(result: Path, scene: Scene) -> tuple[list[str], Matrix, list[str]]:
     """Names and samples [S, U] of those unknowns of a result that a scene also has, and remarks on them.
-
     result: its folder or `posterior.npz`. Raises InputError if the scene has none of them, or measures their friction
-    angles in another way.
-    """
+    angles in another way."""
     path = result if result.suffix == ".npz" else result / "posterior.npz"
     if not path.exists():
         expected = "expected the folder of validation.loop with posterior.npz, of unknown numbers and not of fields"
@@ -92,9 +90,7 @@ def known_of(result: Path, scene: Scene) -> tuple[list[str], Matrix, list[str]]:
 
 def in_scene(name: str, solids: Sequence[tuple[str | None, str]], scene: Scene) -> str:
     """The name of an unknown in `scene`: a solid is matched to the one of the same name, else to the one of its kind.
-
-    solids: name and kind of each solid in the inversion. Raises InputError if the scene has no matching solid.
-    """
+    solids: name and kind of each solid in the inversion. Raises InputError if the scene has no matching solid."""
     number = re.match(r"solids\[(\d+)\]", name)
     if number is None or int(number[1]) >= len(solids):
         return name

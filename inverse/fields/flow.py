@@ -35,8 +35,7 @@ class WhiteFlow:
 
     def __init__(self, problem: Problem, observation: Observation) -> None:
         self.problem, self.observation = problem, observation
-        self.runs = self.reverses = 0
-        """Number of MPM runs and of reverse passes so far."""
+        self.runs = self.reverses = 0  # number of MPM runs and of reverse passes so far
         self.bar = tqdm(desc="adjoint", unit="run", leave=False, disable=None)
         ends = np.cumsum([0, *(unknown.prior.size for unknown in problem.fields), len(problem.numbers)])
         *self.parts, self.of_numbers = [slice(int(first), int(end)) for first, end in pairwise(ends)]
@@ -100,13 +99,11 @@ class WhiteFlow:
 
     def differences(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
         """`jacobian` from V + 1 + `IDLE` runs for each seed, each of which moves along all V `directions` at once.
-
         Their steps are `STEP` times columns that are orthogonal to each other and to the constant. All runs contribute
         to every derivative (Plackett & Burman, The design of optimum multifactorial experiments, Biometrika 33 (1946)
         305-325); one direction at a time would need V times as many runs for the same noise in chaotic flows. Every
         second seed takes the opposite steps of the seed before it, so that terms of even order cancel. Apparent effects
-        of the idle columns measure the noise, which is removed (`denoised`).
-        """
+        of the idle columns measure the noise, which is removed (`denoised`)."""
         count, rng = len(self.directions) + 1 + IDLE, np.random.default_rng(0)
         slope: Floats | float = 0.0
         for pair in range(0, len(seeds), 2):
@@ -167,11 +164,9 @@ class WhiteFlow:
 
 def denoised(matrix: Floats, variance: float) -> Floats:
     """The low-rank estimate of the matrix [r, V] behind the noisy `matrix`.
-
     variance: of the noise of an entry. In units of a random matrix with this noise, a singular value becomes
     ((s^2 - b - 1)^2 - 4 b)^(1/2) / s, 0 below 1 + b^(1/2), with the ratio b <= 1 of the sides (Gavish & Donoho, Optimal
-    shrinkage of singular values, IEEE Trans. Inf. Theory 63 (2017) 2137-2152, eq. 7).
-    """
+    shrinkage of singular values, IEEE Trans. Inf. Theory 63 (2017) 2137-2152, eq. 7)."""
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
     short, long = sorted(matrix.shape)
     unit, ratio = math.sqrt(long * variance), short / long

@@ -52,10 +52,8 @@ from mpm.arrays.features import features_of
 
 FIRST_SEEDS, FIRST_CONVERGED = 2, 2.0  # jitter seeds of the first search, and how far from its minimum it ends
 DRAWS = 100  # stored samples of a field
-LEFT = 2.0
-"""Promised decrease of the objective that the report mentions: two standard deviations along one direction."""
-LED_RUNS, LED_CHECKS = 8, 3
-"""MPM runs if a surrogate leads, and the number of them that check the answer; each with its own jitter seed."""
+LEFT = 2.0  # promised decrease of the objective that the report mentions: two standard deviations along one direction
+LED_RUNS, LED_CHECKS = 8, 3  # MPM runs if a surrogate leads, and how many of them check the answer, by other jitters
 
 
 @dataclass(frozen=True)
@@ -63,21 +61,16 @@ class Found:
     """The result of a search for fields."""
 
     posterior: Gaussian
-    runs: Floats
-    """Results of runs near the answer that differ in their jitter seed, shape [n, M]."""
-    draws: Floats | None
-    """Results of runs at draws from the prior, shape [n, M], if derivatives are of combinations."""
+    runs: Floats  # results of runs near the answer that differ in their jitter seed, shape [n, M]
+    draws: Floats | None  # results of runs at draws from the prior, shape [n, M], if derivatives are of combinations
     iterates: Sequence[dict[str, float]]
-    checks: int
-    """Number of MPM runs that check the answer."""
+    checks: int  # number of MPM runs that check the answer
     surrogate: dict[str, Any]
 
 
 def of_fields(problem: Problem, model: Path | None = None) -> Result:
-    """The most probable fields and numbers, their posterior, and MPM runs with them.
-
-    The search uses the MPM's adjoint, or a surrogate leads it; model: its weights (`leading`). Raises InputError.
-    """
+    """The most probable fields and numbers, their posterior, and MPM runs with them. The search uses the MPM's adjoint,
+    or a surrogate leads it; model: its weights (`leading`). Raises InputError."""
     began, used = time.perf_counter(), time.process_time()
     target = read_target(problem, simulate)
     flow = WhiteFlow(problem, target.observation)
@@ -104,25 +97,22 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
     if lead is not None:
         said, objective = outcome.surrogate, outcome.surrogate["objective"]
         word = "" if "confirmed" not in said else " The MPM did not confirm it and searched by itself."
-        notes.append(
+        more = f"{said['more_predictions']} more predictions, {said['reverse_passes']} reverse passes"
+        notes += [
             f"The surrogate found its answer by {said['predictions']} predictions in {said['seconds']:.0f} s. With its "
-            f"derivatives ({said['more_predictions']} more predictions, {said['reverse_passes']} reverse passes) "
-            f"runs of the MPM went on: the objective changed from {objective[0]:.4g} to "
+            f"derivatives ({more}) runs of the MPM went on: the objective changed from {objective[0]:.4g} to "
             f"{min(objective):.4g}.{word}"
-        )
+        ]
+    decrease = f"decrease of the objective by {posterior.promised:.1f}"
     if posterior.promised > LEFT and "confirmed" not in outcome.surrogate and lead is not None:
-        notes.append(
-            f"The MPM runs ended where derivatives promise a further decrease of the objective by "
-            f"{posterior.promised:.1f}; the widths include the errors of the derivatives."
-        )
+        ended = f"The MPM runs ended where derivatives promise a further {decrease}"
+        notes.append(f"{ended}; the widths include the errors of the derivatives.")
     elif posterior.promised > LEFT:
-        notes.append(
-            f"**The search ended where its derivatives promise a decrease of the objective by {posterior.promised:.1f} "
-            "that no step achieved: the fields are less certain than their widths show. More `optimiser.seeds` make "
-            "derivatives smoother.**"
-        )
+        ended = f"The search ended where its derivatives promise a {decrease} that no step achieved"
+        doubt = "the fields are less certain than their widths show. More `optimiser.seeds` make derivatives smoother."
+        notes.append(f"**{ended}: {doubt}**")
     total = time.perf_counter() - began
-    cost = {"flows": flow.runs + int(problem.target.twin), "reverse_passes": flow.reverses}
+    counts = {"flows": flow.runs + problem.target.twin, "reverse_passes": flow.reverses}
     return Result(
         problem=problem,
         target=target,
@@ -137,7 +127,7 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
         notes=tuple(notes),
         surrogate={"asked": lead is not None, "reason": reason} | outcome.surrogate,
         seconds={"total": total, "processors": time.process_time() - used},
-        record=cost | {"combinations": len(posterior.jacobian), "eigenvalues": posterior.decomposition[0].tolist()},
+        record=counts | {"combinations": len(posterior.jacobian), "eigenvalues": posterior.decomposition[0].tolist()},
     )
 
 
@@ -163,9 +153,7 @@ def checked(flow: WhiteFlow, target: Target, outcome: Found) -> Answer:
 
 def first_search(flow: WhiteFlow, target: Target, errors: Floats, start: Floats) -> Found:
     """Search from `start` [W] with the derivatives of `flow`, with few seeds and the scatter at the start.
-
-    errors: covariance of the numbers without the scatter [M, M].
-    """
+    errors: covariance of the numbers without the scatter [M, M]."""
     problem, draws = flow.problem, None
     seed, seeds = problem.scene.seed, problem.scatter_seeds
     runs = flow.observe([start] * len(seeds), seeds)
@@ -238,13 +226,8 @@ def field_posteriors(flow: WhiteFlow, posterior: Gaussian) -> list[FieldPosterio
     posteriors = []
     for unknown, part, latent in zip(problem.fields, flow.parts, flow.latents(posterior.mean), strict=True):
         removed = (unknown.prior.field(posterior.removed[part]) ** 2).sum(axis=1)
-        posteriors.append(
-            FieldPosterior(
-                unknown=unknown,
-                latent=latent,
-                width=np.sqrt(np.maximum(unknown.prior.deviation**2 - removed, 0.0)),
-                draws=unknown.values(unknown.prior.field(draws[:, part].T).T),
-                truth=unknown.truth(problem.scene) if problem.target.twin else None,
-            )
-        )
+        width = np.sqrt(np.maximum(unknown.prior.deviation**2 - removed, 0.0))
+        shown = unknown.values(unknown.prior.field(draws[:, part].T).T)
+        truth = unknown.truth(problem.scene) if problem.target.twin else None
+        posteriors.append(FieldPosterior(unknown=unknown, latent=latent, width=width, draws=shown, truth=truth))
     return posteriors

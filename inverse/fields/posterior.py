@@ -35,11 +35,8 @@ class FieldPosterior:
 
     @cached_property
     def arrays(self) -> dict[str, Values]:
-        """Name -> values at the nodes, shape [K] each.
-
-        `deviation` and `prior_deviation` are standard deviations equivalent to the widths of the 95 % bands, `removed`
-        is the share of the prior variance that the observation removes.
-        """
+        """Name -> values at the nodes, shape [K] each. `deviation` and `prior_deviation` belong to the widths of the
+        95 % bands, `removed` is the share of the prior variance that the observation removes."""
         unknown, latent, width = self.unknown, self.latent, self.width
         arrays = {
             "mean": unknown.values(latent),
@@ -89,6 +86,8 @@ class FieldPosterior:
     def as_json(self) -> dict[str, Any]:
         inside, identified, mean = self.unknown.inside, self.identified, self.unknown.settings.mean
         deviation = self.arrays["deviation"]
+        widths = {"prior": self.average(self.arrays["prior_deviation"]), "posterior": self.average(deviation)}
+        errors = {"prior": self.error(inside, mean), "posterior": self.error(inside)}
         return {
             "name": self.name,
             "unit": self.unknown.unit,
@@ -97,16 +96,7 @@ class FieldPosterior:
             "identified": float(identified[inside].mean()),
             "identified_between": self.identified_box(),
             "variance_removed": self.average(self.arrays["removed"]),
-            "deviation": {
-                "prior": self.average(self.arrays["prior_deviation"]),
-                "posterior": self.average(deviation),
-                "identified": float(deviation[identified].mean()) if identified.any() else None,
-            },
-            "error": {
-                "prior": self.error(inside, mean),
-                "posterior": self.error(inside),
-                "prior_identified": self.error(identified, mean),
-                "identified": self.error(identified),
-            },
+            "deviation": widths | {"identified": float(deviation[identified].mean()) if identified.any() else None},
+            "error": errors | {"prior_identified": self.error(identified, mean), "identified": self.error(identified)},
             "truth_in_band": {"all": self.covered(inside), "identified": self.covered(identified)},
         }

@@ -16,8 +16,7 @@ from datasets.scene.grid_field import Floats
 
 SHORTEST = 0.25  # shortest step of the line search, over the full step
 DECREASE = 0.1  # smallest decrease of J, over that of the linear problem, for a step to be accepted
-CONVERGED = 0.5
-"""Decrease of J at which the search has converged: that of one standard deviation along one direction."""
+CONVERGED = 0.5  # decrease of J at which the search has converged: that of one standard deviation along one direction
 SMALL = 0.2  # variance of a combination over draws from the prior, over that of its errors, below which it is left out
 
 
@@ -25,14 +24,10 @@ SMALL = 0.2  # variance of a combination over draws from the prior, over that of
 class Gaussian:
     """The posterior of W white numbers."""
 
-    mean: Floats
-    """The most probable white numbers, shape [W]."""
-    jacobian: Floats
-    """G of the relevant combinations of the numbers, shape [r, W]."""
-    promised: float
-    """Decrease of J by another step if the numbers were linear."""
-    combinations: Floats
-    """These combinations of the numbers, shape [r, M]."""
+    mean: Floats  # the most probable white numbers, shape [W]
+    jacobian: Floats  # G of the relevant combinations of the numbers, shape [r, W]
+    promised: float  # decrease of J by another step if the numbers were linear
+    combinations: Floats  # these combinations of the numbers, shape [r, M]
 
     @cached_property
     def decomposition(self) -> tuple[Floats, Floats]:
@@ -74,10 +69,8 @@ class Objective:
     ) -> None:
         """flow: `inverse.fields.flow.WhiteFlow`, or any object with `mean` and `jacobian`; target: y [M]; covariance: R
         [M, M]; seeds: n of F; lead: another flow that gives derivatives, and its jitter seeds; default: `flow`.
-
         Derivatives are of `combinations` [r, M] of the numbers if given. Else, with `draws`, numbers [n, M] at draws
-        from the prior, they are of the combinations in which these differ; else of every number.
-        """
+        from the prior, they are of the combinations in which these differ; else of every number."""
         self.flow, self.target, self.seeds, self.lead = flow, target, seeds, lead or (flow, seeds)
         self.root = scipy.linalg.cholesky(covariance, lower=True)
         if combinations is not None:
@@ -91,8 +84,7 @@ class Objective:
         self.combinations = np.asarray(scipy.linalg.solve_triangular(self.root, basis, lower=True, trans="T").T)
         """U^T L^-1 with orthonormal U: uncorrelated combinations of the numbers with errors of 1, shape [r, M]."""
         self.iterates: list[dict[str, float]] = []
-        self.missed: list[tuple[float, float]] = []
-        """|e|^2 and |dw|^2 of each tried step, with the error of the derivatives e = L^-1 dF - G dw."""
+        self.missed: list[tuple[float, float]] = []  # |e|^2 and |dw|^2 of each tried step, with e = L^-1 dF - G dw
 
     def whitened(self, numbers: Floats) -> Floats:
         """Numbers [M, ...] in units in which their errors are independent with variance 1."""
@@ -114,9 +106,7 @@ class Objective:
         runs: float = math.inf,
     ) -> Gaussian:
         """Search from `start` [W] for the most probable white numbers.
-
-        enough: decrease of J that a step must promise; numbers: F at the start [M] if known; runs: most evaluations.
-        """
+        enough: decrease of J that a step must promise; numbers: F at the start [M] if known; runs: most evaluations."""
         white, (lead, seeds) = start, self.lead
         numbers = self.flow.mean(white, self.seeds) if numbers is None else numbers
         self.iterates.append(self.iterate(white, numbers, 0.0))
@@ -153,17 +143,15 @@ class Objective:
 
 
 def doubted(posterior: Gaussian, wrong: float, directions: Floats) -> Gaussian:
-    """A posterior that allows for errors E of its derivatives, with E|E dw|^2 = `wrong` |dw|^2 from its steps.
-
-    If the truth is w_t, E (w_t - w) is an additional error of the combination U_k^T, whose own error is 1. E is assumed
+    """A posterior that allows for errors E of its derivatives, with E|E dw|^2 = `wrong` |dw|^2 from its steps. If the
+    truth is w_t, E (w_t - w) is an additional error of the combination U_k^T, whose own error is 1. E is assumed
     random, with a size along U_k proportional to s_k^(1/2), and to act along the `directions` D [V, W] in which the
     prior varies:
 
         s_k^2 <- s_k^2 / (1 + wrong tr(D cov(w) D^T) s_k / sum s)
 
     A direction with uncertain derivatives is therefore never known exactly, however small the noise. The exponent is
-    the measured one of the difference between derivatives on two cell sizes in the problem `gully`.
-    """
+    the measured one of the difference between derivatives on two cell sizes in the problem `gully`."""
     left, values, rest = np.linalg.svd(posterior.jacobian, full_matrices=False)
     spread = len(directions) - float(((directions @ posterior.removed) ** 2).sum())
     share = values / max(float(values.sum()), np.finfo(np.float64).tiny)
@@ -173,8 +161,7 @@ def doubted(posterior: Gaussian, wrong: float, directions: Floats) -> Gaussian:
 def linear_mean(jacobian: Floats, white: Floats, residual: Floats) -> Floats:
     """The most probable w [W] if the numbers are linear about `white`, at which their residual is `residual` [r].
 
-    w = G^T (I + G G^T)^-1 (G w0 - residual) = (I + G^T G)^-1 G^T (G w0 - residual): whichever has fewer equations.
-    """
+    w = G^T (I + G G^T)^-1 (G w0 - residual) = (I + G^T G)^-1 G^T (G w0 - residual): whichever has fewer equations."""
     off = jacobian @ white - residual
     if len(residual) <= len(white):
         return np.asarray(jacobian.T @ np.linalg.solve(np.eye(len(residual)) + jacobian @ jacobian.T, off))

@@ -28,7 +28,7 @@ from inverse.observations import Observation
 from inverse.observations.target import Target
 from inverse.parameters import in_order
 from inverse.parameters.field import UnknownField
-from inverse.parameters.kind import tangent_of
+from inverse.parameters.kind import tangent_of, thrown
 from inverse.problem import Problem
 from inverse.settings import Surrogate
 
@@ -135,13 +135,9 @@ def entering(unknown: UnknownField, initial: InitialState) -> Enter:
             return initial.with_conditions(friction=friction)
 
     else:
-        along = torch.arange(positions.shape[1]) == VELOCITIES.index(settings.quantity)
 
         def enter(initial: InitialState, values: Tensor) -> InitialState:
-            displacements = initial.state.displacements
-            displacement = ((weights @ values) * initial.step).to(displacements.dtype).unsqueeze(1)
-            thrown = torch.where(here.unsqueeze(1) & along, displacement, displacements)
-            return replace(initial, state=replace(initial.state, displacements=thrown))
+            return thrown(initial, here, VELOCITIES.index(settings.quantity), weights @ values)
 
     return enter
 
@@ -167,9 +163,7 @@ def entering_bed(unknown: UnknownField, initial: InitialState) -> Enter:
 
 def leading(problem: Problem, target: Target, model: Path | None = None) -> tuple[WhiteFlow | None, str]:
     """The flow that leads the search for the fields of `problem`, or None, and the reason in words.
-
-    model: weights, by default the shipped ones. Raises InputError if the problem demands an unsuitable surrogate.
-    """
+    model: weights, by default the shipped ones. Raises InputError if the problem demands an unsuitable surrogate."""
     asked, observation, scene = problem.surrogate, target.observation, problem.scene_at(problem.initial)
     if asked is Surrogate.NONE:
         return None, "the problem asks for none"

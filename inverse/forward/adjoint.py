@@ -38,10 +38,8 @@ class AdjointFlow(NamedTuple):
 
 class AdjointRun:
     """A run as a function of its scene's parameters (`inverse.parameters`), with checkpoints.
-
     frames: the returned frames, by default the last. Options and errors as in `mpm.adjoint.tape.Tape`, by default in
-    single precision. Only differentiable steps are used (`mpm.adjoint.tape.steady`).
-    """
+    single precision. Only differentiable steps are used (`mpm.adjoint.tape.steady`)."""
 
     def __init__(
         self, scene: Scene, names: Sequence[str], *, frames: Sequence[int] | None = None, **options: Any

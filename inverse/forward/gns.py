@@ -70,11 +70,9 @@ class Band:
 
 
 class GnsForward:
-    """A rollout of the surrogate as a differentiable function of the problem's parameters, in SI units.
-
-    Unknowns that change the particles (thickness of a layer) are no inputs: each flow then has its own initial state,
-    without a derivative, and flows run one after the other. A single torch thread computes everything.
-    """
+    """A rollout of the surrogate as a differentiable function of the problem's parameters, in SI units. Unknowns that
+    change the particles (thickness of a layer) are no inputs: each flow then has its own initial state, without a
+    derivative, and flows run one after the other. A single torch thread computes everything."""
 
     def __init__(
         self,
@@ -85,9 +83,7 @@ class GnsForward:
         flows: dict[bytes, Flow] | None = None,
     ) -> None:
         """The weights are frozen, which makes the backward pass much cheaper. band: its errors. flows: parameters ->
-
-        predicted flow, which observations of one scene may share. Raises InputError.
-        """
+        predicted flow, which observations of one scene may share. Raises InputError."""
         self.simulator = checked(simulator).requires_grad_(False)
         self.problem, self.observation, self.kinds, self.band = problem, observation, problem.kinds, band or Band()
         self.other_particles = any(kind.input is None for kind in self.kinds)
@@ -98,10 +94,8 @@ class GnsForward:
         self.kept_steps = int(MEMORY_GIB * 2**30 / max(bytes_per_step, 1))
 
     def predict(self, parameters: Tensor, /) -> Tensor:
-        """The smooth observation, float64 of shape [m] or [S, m], of parameters, float64 of shape [U] or [S, U].
-
-        The scenes of several vectors form one graph, so that one backward pass gives all gradients.
-        """
+        """The smooth observation, float64 of shape [m] or [S, m], of parameters, float64 of shape [U] or [S, U]. The
+        scenes of several vectors form one graph, so that one backward pass gives all gradients."""
         if parameters.dim() == 1:
             return self.predict(parameters.unsqueeze(0))[0]
         return torch.stack([self.observed(*flow) for flow in self._flows(parameters)])
@@ -118,11 +112,9 @@ class GnsForward:
             return [self.observed(*self.flows[vector.tobytes()]).numpy() for vector in parameters]
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
-        """Errors of the numbers at parameters [U] from the band, shape [K, m].
-
-        Each number of a single particle also has its own error, between independent errors as large as that of a
-        profile and one common error with M^(1/2) times the effect.
-        """
+        """Errors of the numbers at parameters [U] from the band, shape [K, m]. Each number of a single particle also
+        has its own error, between independent errors as large as that of a profile and one common error with M^(1/2)
+        times the effect."""
         with torch.no_grad():
             start = self.entered(torch.from_numpy(parameters))
             path = self.unrolled([start])
@@ -141,7 +133,6 @@ class GnsForward:
             return self.unrolled([self.entered(torch.from_numpy(parameters))])[-1].numpy()
 
     def select(self, target: Values, /) -> Values:
-        """The part of an exact `target` [M] that belongs to the particles followed here, shape [m]."""
         return self.observation.of_particles(target, self.indices)
 
     def entered(self, parameters: Tensor) -> InitialState:

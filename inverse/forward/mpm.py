@@ -46,5 +46,4 @@ class MpmForward:
         return np.asarray(trajectory.positions[-1])
 
     def select(self, target: Values, /) -> Values:
-        """The part of an exact `target` [M] that belongs to the particles followed here, shape [m]."""
         return self.observation.of_particles(target, self.indices)

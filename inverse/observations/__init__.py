@@ -5,24 +5,19 @@
 >>> front.observe(trajectory)
 """
 
-from inverse.observations.deposit import DepositSettings as DepositSettings
-from inverse.observations.deposit import FrontSettings as FrontSettings
-from inverse.observations.deposit import PassedSettings as PassedSettings
-from inverse.observations.deposit import RunoutSettings as RunoutSettings
-from inverse.observations.deposit import ToeSettings as ToeSettings
-from inverse.observations.gauges import GaugesSettings as GaugesSettings
-from inverse.observations.gauges import ImpulseSettings as ImpulseSettings
-from inverse.observations.gauges import PeakForceSettings as PeakForceSettings
-from inverse.observations.gauges import PorePressureSettings as PorePressureSettings
-from inverse.observations.motion import ArrivalSettings as ArrivalSettings
-from inverse.observations.motion import SpeedSettings as SpeedSettings
-from inverse.observations.observation import Observation as Observation
-from inverse.observations.observation import Rollout as Rollout
-from inverse.observations.observation import Values as Values
-from inverse.observations.outline import OutlineSettings as OutlineSettings
-from inverse.observations.plan import ThicknessSettings as ThicknessSettings
-from inverse.observations.profile import ProfileSettings as ProfileSettings
-from inverse.observations.settings import ObservationSettings as ObservationSettings
+from inverse.observations.deposit import DepositSettings, FrontSettings, PassedSettings, RunoutSettings, ToeSettings
+from inverse.observations.gauges import GaugesSettings, ImpulseSettings, PeakForceSettings, PorePressureSettings
+from inverse.observations.motion import ArrivalSettings, SpeedSettings
+from inverse.observations.observation import Observation, Rollout, Values
+from inverse.observations.outline import OutlineSettings
+from inverse.observations.plan import ThicknessSettings
+from inverse.observations.profile import ProfileSettings
+from inverse.observations.settings import ObservationSettings
+
+__all__ = ["KINDS", "ArrivalSettings", "DepositSettings", "FrontSettings", "GaugesSettings", "ImpulseSettings"]
+__all__ += ["Observation", "ObservationSettings", "OutlineSettings", "PassedSettings", "PeakForceSettings"]
+__all__ += ["PorePressureSettings", "ProfileSettings", "Rollout", "RunoutSettings", "SpeedSettings"]
+__all__ += ["ThicknessSettings", "ToeSettings", "Values"]
 
 _DEPOSIT = (FrontSettings, RunoutSettings, ToeSettings, DepositSettings, PassedSettings, OutlineSettings)
 _HEIGHTS = (ProfileSettings, ThicknessSettings, GaugesSettings)

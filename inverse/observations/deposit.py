@@ -73,11 +73,9 @@ class RunoutSettings(ObservationSettings):
 
 class Toe(Observation):
     """The centroid of the furthest 10 % of the particles, D numbers; the misfit is |c - c_target|^2, as in the paper.
-
     In the smooth form, a particle at x has the weight 1 / (1 + exp((t - x) / width)), with a width of half a cell and
     the t for which the weighted volume is a tenth: a soft rank, in which the weight of a particle that falls back goes
-    to the others.
-    """
+    to the others."""
 
     kind = "toe"
     label = "the toe, the centroid of the furthest 10 % of the particles"

@@ -45,10 +45,8 @@ StatedNoise = Annotated[float | str | Student, PlainValidator(read_noise, json_s
 class Noise:
     """A stated noise: the standard deviation of a number y is ((share y)^2 + deviation^2)^(1/2)."""
 
-    share: float = 0.0
-    """Share of each number [-]."""
-    deviation: float = 0.0
-    """Absolute part, in the unit of the numbers."""
+    share: float = 0.0  # share of each number [-]
+    deviation: float = 0.0  # absolute part, in the unit of the numbers
 
     @classmethod
     def stated(cls, noise: float | str | Student) -> "Noise":
@@ -72,10 +70,8 @@ class Noise:
 class Covariance:
     """Covariance of the errors of M numbers; for independent errors without a matrix: a deposit has thousands."""
 
-    deviation: Floats
-    """Standard deviation of each number, shape [M]."""
-    dependent: Floats | None = None
-    """The full covariance if errors are dependent, shape [M, M]."""
+    deviation: Floats  # standard deviation of each number, shape [M]
+    dependent: Floats | None = None  # the full covariance if errors are dependent, shape [M, M]
 
     @staticmethod
     def of(matrix: Floats) -> "Covariance":

@@ -33,8 +33,7 @@ class Gauges(SmoothObservation):
     h_g = sum_i V_i w(x_i - x_g) / int w dx,    w(s) = max(0, 1 - |s| / spacing)
 
     with V the volumes of the particles: like a profile, the height is at the initial density. In 3D, w also depends on
-    z if z is given; else the height is the mean across the flow.
-    """
+    z if z is given; else the height is the mean across the flow."""
 
     kind = "height"
     label = "the height at gauges"
@@ -112,16 +111,15 @@ class Impulse(SmoothObservation):
         self.solid, self.axis = number, axis
 
     def predict(self, rollout: Rollout) -> Tensor:
-        numbers: Tensor = self.of_series(rollout.impulses, rollout.times)
+        impulse = self.recorded(rollout)
+        numbers: Tensor = (
+            impulse[-1:] if self.times is None else at_times(lambda value: value, impulse, rollout.times, self.times)
+        )
         return numbers
 
-    def of_series(self, impulses: Any, time: Values) -> Any:
-        """The numbers [M] from all impulses [T, solids, D] over `time` [s]. Raises InputError if there are none."""
-        impulse = self.recorded(impulses)
-        return impulse[-1:] if self.times is None else at_times(lambda value: value, impulse, time, self.times)
-
-    def recorded(self, impulses: Any) -> Any:
-        """The impulse on the solid [T], from all impulses [T, solids, D]. Raises InputError if there are none."""
+    def recorded(self, rollout: Rollout) -> Tensor:
+        """The impulse on the solid along the axis, shape [T]. Raises InputError if the run has not recorded it."""
+        impulses = rollout.impulses
         if impulses is None or self.solid >= impulses.shape[1]:
             raise InputError(f"expected a run that recorded the impulse on solid {self.solid}, it did not")
         return impulses[:, self.solid, self.axis]
@@ -143,8 +141,7 @@ class PeakForce(Impulse):
 
         F = max over t of |J(t + window) - J(t)| / window,    J: the recorded impulse, linear between frames
 
-    The difference is linear between the times at which t or t + window is a frame, so its maximum is at one of them.
-    """
+    The difference is linear between the times at which t or t + window is a frame, so its maximum is at one of them."""
 
     kind = "peak-force"
     label = "the peak force on a solid"
@@ -157,13 +154,15 @@ class PeakForce(Impulse):
         expected = f"a time from {scene.frame_dt:g} s, a frame, to {scene.duration:g} s, which the scene lasts"
         require(scene.frame_dt * (1.0 - 1e-9) <= window <= scene.duration, "window", expected, f"{window:g} s")
 
-    def of_series(self, impulses: Any, time: Values) -> Any:
-        impulse = self.recorded(impulses)
+    def predict(self, rollout: Rollout) -> Tensor:
+        impulse, time = self.recorded(rollout), rollout.times
         starts = np.concatenate([time, time - self.window])
         starts = starts[(starts >= time[0]) & (starts <= time[-1] - self.window * (1.0 - 1e-9))]
-        ends = (starts, starts + self.window)
-        first, last = (at_times(lambda value: value, impulse, time, moments) for moments in ends)
-        return abs((last - first) / self.window).max().reshape(1)
+        first, last = (
+            at_times(lambda value: value, impulse, time, moments) for moments in (starts, starts + self.window)
+        )
+        peak: Tensor = abs((last - first) / self.window).max().reshape(1)
+        return peak
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,8 +183,7 @@ class PorePressure(SmoothObservation):
 
     p and y are means over the particles around a gauge with the weights w_i V_i, where w is a product of hat functions
     along the axes as in `Gauges`. b is the slope of the regression of p over y, so that a gauge on the ground reads the
-    pressure there. V_0 is a twentieth of the volume that fills the hats: without flow there is no pressure.
-    """
+    pressure there. V_0 is a twentieth of the volume that fills the hats: without flow there is no pressure."""
 
     kind = "pore-pressure"
     label = "the pore pressure at gauges"
@@ -267,10 +265,8 @@ class PorePressureSettings(LengthsSettings):
 
 
 def read_at(gauges: Floats, times: Values, count: int | None) -> tuple[Floats, Values]:
-    """Gauges [G, ...] and times [s]: one for each, or every gauge at every time, one gauge after the other.
-
-    Equal numbers of gauges and times are read as pairs, unless `count`, the number of values, needs all combinations.
-    """
+    """Gauges [G, ...] and times [s]: one for each, or every gauge at every time, one gauge after the other. Equal
+    numbers of gauges and times are read as pairs, unless `count`, the number of values, needs all combinations."""
     if len(times) == len(gauges) and count != len(gauges) * len(times):
         return gauges, times
     return np.repeat(gauges, len(times), axis=0), np.tile(times, len(gauges))

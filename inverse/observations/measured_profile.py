@@ -79,8 +79,7 @@ class MeasuredProfile:
         e_i = h_i - (b h_(i-1) + a h_(i+1)) / (a + b), a and b the distances to them: the pseudo-residuals of Gasser,
         Sroka & Jennen-Steinmetz (Residual variance and residual pattern in nonlinear regression, Biometrika 73 (1986)
         625-633), without a model. Only a scatter that chance exceeds less often than `RARE` counts; their sum of
-        squares has roughly half as many degrees of freedom as a sum of independent ones.
-        """
+        squares has roughly half as many degrees of freedom as a sum of independent ones."""
         if len(self.x) < 3:
             return 1.0
         before, after = self.x[1:-1] - self.x[:-2], self.x[2:] - self.x[1:-1]
@@ -101,11 +100,9 @@ class MeasuredProfile:
 def checked_profile(
     x: Floats, height: Floats, scene: Scene, heights: Heights, released: float | None
 ) -> MeasuredProfile:
-    """The profile of rows [m], both of shape [R]; its area is compared with the released one if that is known.
-
-    With gaps (NaN) or an end at a solid, the known area may be smaller. Raises InputError for rows that form no
-    profile, lie outside the box, end within the deposit or have another area.
-    """
+    """The profile of rows [m], both of shape [R]; its area is compared with the released one if that is known. With
+    gaps (NaN) or an end at a solid, the known area may be smaller. Raises InputError for rows that form no profile, lie
+    outside the box, end within the deposit or have another area."""
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(height))
     require(len(rows) > 1, "", "at least two rows with an x and a height", len(rows))
     x, height, gaps = x[rows], height[rows], np.diff(rows) > 1
@@ -132,10 +129,8 @@ def checked_profile(
 
 
 def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> MeasuredProfile:
-    """The profile from one wall, solid or edge of the deposit to the other. Raises InputError if they are too far.
-
-    If the deposit continues at an end, it is extrapolated along its last rows, towards larger x only downwards.
-    """
+    """The profile from one wall, solid or edge of the deposit to the other. Raises InputError if they are too far. If
+    the deposit continues at an end, it is extrapolated along its last rows, towards larger x only downwards."""
     rows, open_rows, ends = [*zip(x, height, strict=True)], gaps.tolist(), [0.0, scene.domain.size[0]]
     solids = faces(scene)
     for number, side in ((0, 1), (1, -1)):

@@ -29,8 +29,7 @@ class Arrival(SmoothObservation):
 
     s is the front and L the x; with a `thickness`, s is the height at the x, as at a gauge (`Gauges`), and L the
     thickness. A flow that stops short of L is continued at its mean rate so far, so that the number is continuous:
-    t_max (L - s_0) / (s_max - s_0), at most twice the time of the last frame.
-    """
+    t_max (L - s_0) / (s_max - s_0), at most twice the time of the last frame."""
 
     kind = "arrival"
     label = "the time at which the flow arrives"
@@ -100,8 +99,7 @@ class Speed(SmoothObservation):
 
     V are the volumes of the particles, proportional to their masses; w is 1 in the region and falls to 0 over a cell at
     its edges; V_0 is half a layer of particles over the region, which is limited to the initial extent of all masses:
-    a flow is narrower than its box. At the start and the end of the flow, T is shortened to the recorded time.
-    """
+    a flow is narrower than its box. At the start and the end of the flow, T is shortened to the recorded time."""
 
     kind = "speed"
     label = "the speed of the flow at a place"

@@ -32,60 +32,39 @@ SMALL = 0.1  # share of the largest number: if scatter is proportional, smaller 
 class Rollout:
     """The particles' positions from start to end and, from the MPM, impulses and pore pressure."""
 
-    positions: Tensor
-    """Positions [m], shape [T, N, D]."""
-    times: Values
-    """Times [s], shape [T]."""
-    volumes: Tensor
-    """Volumes [m^D], shape [N]."""
-    impulses: Tensor | None = None
-    """Impulse on each solid [N s], in 2D per metre of width, shape [T, solids, D]; not from a surrogate."""
-    pore_pressure: Tensor | None = None
-    """Pore pressure of the particles, if recorded [Pa], shape [T, N]; not from a surrogate."""
+    positions: Tensor  # positions [m], shape [T, N, D]
+    times: Values  # times [s], shape [T]
+    volumes: Tensor  # volumes [m^D], shape [N]
+    impulses: Tensor | None = None  # on each solid [N s], in 2D per metre of width, [T, solids, D]; not of a surrogate
+    pore_pressure: Tensor | None = None  # of the particles, if recorded [Pa], shape [T, N]; not from a surrogate
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointPart:
     """One of the observations that are compared together."""
 
-    name: str
-    """Name in reports."""
+    name: str  # name in reports
     observation: "Observation"
-    numbers: slice
-    """Its part of all numbers."""
+    numbers: slice  # its part of all numbers
 
 
 class Observation:
     """An observation operator."""
 
-    kind: ClassVar[str]
-    """Name in a problem's TOML."""
-    label: ClassVar[str]
-    """Name in reports."""
-    unit: ClassVar[str] = "m"
-    """Unit of the numbers; empty for a share."""
-    scatter: ClassVar[float | None] = None
-    """Standard deviation from flow to flow over a number, before an ensemble has measured it; None for lengths."""
-    limits: tuple[Any, Any] = (-math.inf, math.inf)
-    """Smallest and largest possible number."""
-    every_particle: ClassVar[bool] = False
-    """Whether its numbers belong to single particles: too many for a Jacobian, and as many in every run."""
-    count: int = 1
-    """M, the number of measured numbers."""
-    components: int = 1
-    """Number of components of one point: their squared differences add up in the misfit."""
-    scale: Values | float = 1.0
-    """The value of 1 in the unit of a number, shape [M] or the same for all."""
-    times: Values | None = None
-    """Times of the observation [s], one for each number or one for all; default: the end."""
-    over_time: bool = False
-    """Whether it needs more of a trajectory than its last frame."""
-    of_positions: bool = True
-    """Whether it follows from positions alone, which the surrogate predicts."""
-    of_water: bool = False
-    """Whether it needs the pore pressure of the particles."""
-    dense: ClassVar[bool] = False
-    """Whether it follows from positions, but of more particles than a surrogate has."""
+    kind: ClassVar[str]  # name in a problem's TOML
+    label: ClassVar[str]  # name in reports
+    unit: ClassVar[str] = "m"  # unit of the numbers; empty for a share
+    scatter: ClassVar[float | None] = None  # deviation from flow to flow over a number before any run; None for lengths
+    limits: tuple[Any, Any] = (-math.inf, math.inf)  # smallest and largest possible number
+    every_particle: ClassVar[bool] = False  # whether numbers are of single particles: many, and as many in every run
+    count: int = 1  # M, the number of measured numbers
+    components: int = 1  # number of components of one point: their squared differences add up in the misfit
+    scale: Values | float = 1.0  # the value of 1 in the unit of a number, shape [M] or the same for all
+    times: Values | None = None  # times of the observation [s], one for each number or one for all; default: the end
+    over_time: bool = False  # whether it needs more of a trajectory than its last frame
+    of_positions: bool = True  # whether it follows from positions alone, which the surrogate predicts
+    of_water: bool = False  # whether it needs the pore pressure of the particles
+    dense: ClassVar[bool] = False  # whether it follows from positions, but of more particles than a surrogate has
 
     def __init__(self, scene: Scene, settings: Any = None) -> None:
         """The operator for flows of `scene` with the settings of its kind. Raises InputError, which names their key."""
@@ -194,8 +173,7 @@ class Joint(Observation):
 
     y are the numbers in their own units, n their standard deviations from measurement errors, c (`prior`) those between
     flows with different initial jitter, as between two perfect measurements of one sand. The weights 1 / s^2 (`scale`)
-    are those of least squares; c prevents a very precisely measured number from outweighing all others.
-    """
+    are those of least squares; c prevents a very precisely measured number from outweighing all others."""
 
     kind = "joint"
     label = "several observations"
@@ -231,10 +209,8 @@ def recording(observations: Sequence[Observation]) -> Recording:
 
 
 def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: Values) -> Any:
-    """`operator` of a series [T, ...], arrays or tensors, at each of `times` [s], shape [times, ...].
-
-    Between two frames it interpolates the series, not the result: heights at a gauge are not linear in time.
-    """
+    """`operator` of a series [T, ...], arrays or tensors, at each of `times` [s], shape [times, ...]. Between two
+    frames it interpolates the series, not the result: heights at a gauge are not linear in time."""
     different, which = np.unique(times, return_inverse=True)
     before, share = brackets(time, different)
     after = np.minimum(before + 1, len(time) - 1)

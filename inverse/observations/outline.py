@@ -34,17 +34,14 @@ from inverse.observations.target import Target
 
 DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)  # default directions of extents
 POINTS = (8, 64)  # smallest and largest number of points along the observed boundary, two cells apart or more
-ISLAND = 0.05
-"""Area over the largest part's, below which a part of the model's deposit is only stray particles."""
+ISLAND = 0.05  # area over the largest part's, below which a part of the model's deposit is only stray particles
 THICK = 0.2  # share of the least thickness released, above which a default `thickness`, of large cells, gives a warning
 TVERSKY = (0.3, 0.7)  # weights of areas that only the model covers, and of areas that it misses, which is worse
 
 
 class Extents(SmoothObservation):
-    """The extent of a deposit in 3D from the centroid c of its masses along directions n of the plan.
-
-    Each is the front of (p - c) . n instead of x: the support function of the outline, robust against single particles.
-    """
+    """The extent of a deposit in 3D from the centroid c of its masses along directions n of the plan. Each is the front
+    of (p - c) . n instead of x: the support function of the outline, robust against single particles."""
 
     kind = "outline"
     label = "the extent of the deposit in plan"
@@ -53,8 +50,7 @@ class Extents(SmoothObservation):
         super().__init__(scene)
         plan_sides(scene)
         angles = np.deg2rad(DIRECTIONS_DEG if directions_deg is None else np.array(directions_deg))
-        self.directions = np.stack([np.cos(angles), np.sin(angles)])
-        """From +x towards +z, shape [2, M]."""
+        self.directions = np.stack([np.cos(angles), np.sin(angles)])  # from +x towards +z, shape [2, M]
         self.count = len(angles)
         volumes = mass_volumes(scene)
         self.centre = (volumes @ mass_centroids(scene) / volumes.sum())[[0, 2]]

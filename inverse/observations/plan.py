@@ -188,11 +188,9 @@ class ThicknessSettings(ObservationSettings):
             return replace(self, direction=direction).measured(scene, cut, values)
 
     def surveyed(self, scene: Scene, path: Path) -> tuple["Blocks", Values]:
-        """Cells, and the thickness [m] above the ground in each cell [K] from the points of a survey.
-
-        It is the mean elevation of a cell's points above the terrain, NaN without points; if it is below twice the
-        noise, the ground is bare.
-        """
+        """Cells, and the thickness [m] above the ground in each cell [K] from the points of a survey. It is the mean
+        elevation of a cell's points above the terrain, NaN without points; if it is below twice the noise, the ground
+        is bare."""
         (corner, crs), cut = map_corner(scene), self.operator(scene).blocks
         grid = cut.grid
         low, sides = np.array(corner), np.array(plan_sides(scene))
@@ -258,9 +256,7 @@ class Blocks:
 
 def in_blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Blocks, Values]:
     """The cells of a raster in the box, and their values [K]: means over blocks at least as large as a scene's cell.
-
-    corner: of the box on the map [m], shape [2]; a block with a hole is NaN. Raises InputError if no cell lies in it.
-    """
+    corner: of the box on the map [m], shape [2]; a block with a hole is NaN. Raises InputError if no cell is in it."""
     places, kept = (raster.x - corner[0], raster.z - corner[1]), []
     for at, side in zip(places, plan_sides(scene), strict=True):
         kept.append(np.flatnonzero((at > 0.0) & (at < side)))

@@ -38,13 +38,10 @@ DRAWS = 400  # draws of noise on the heights, which give the covariance of the o
 
 
 class Profile(Observation):
-    """The height profile by its quantiles: the x behind which each of `SHARES` of its area lies.
-
-    Heights at fixed x do not show how far apart two fronts are that do not overlap. The mean square difference of
-    positions of equal shares is the squared transport (Wasserstein) distance of the two areas: Engquist & Froese,
-    Application of the Wasserstein metric to seismic signals, Commun. Math. Sci. 12 (2014) 979-988. In 3D the area is
-    the mean over z.
-    """
+    """The height profile by its quantiles: the x behind which each of `SHARES` of its area lies. Heights at fixed x do
+    not show how far apart two fronts are that do not overlap. The mean square difference of positions of equal shares
+    is the squared transport (Wasserstein) distance of the two areas: Engquist & Froese, Application of the Wasserstein
+    metric to seismic signals, Commun. Math. Sci. 12 (2014) 979-988. In 3D the area is the mean over z."""
 
     kind = "profile"
     label = "the height profile"
@@ -53,9 +50,7 @@ class Profile(Observation):
         self, scene: Scene, settings: "ProfileSettings", rows: Values | None = None, ends: Ends | None = None
     ) -> None:
         """rows: ascending x of the known heights [m], [R], continued to the walls; default: the model's stations.
-
-        ends: the two x [m] between which the profile lies, by default the walls; material beyond does not count.
-        """
+        ends: the two x [m] between which the profile lies, by default the walls; material beyond does not count."""
         super().__init__(scene, settings)
         length, spacing, times = scene.domain.size[0], settings.spacing, settings.times
         require(0.0 < spacing <= length / 2, "spacing", f"a length in (0, {length / 2:g}] m", spacing)
@@ -124,12 +119,10 @@ class Profile(Observation):
 
 
 class SurfaceProfile(Profile):
-    """`Profile` of the deposit's surface: the height of its particles above the ground, including dilation.
-
-    At a station it is the centre of the highest particle nearest to this station, in 3D the mean of these over the
-    width: for a level layer, the surface within a quarter of a particle. The surrogate follows too few particles for a
-    surface, so its smooth form uses the equivalent heights, and the emulator of the MPM represents the difference.
-    """
+    """`Profile` of the deposit's surface: the height of its particles above the ground, including dilation. At a
+    station it is the centre of the highest particle nearest to this station, in 3D the mean of these over the width:
+    for a level layer, the surface within a quarter of a particle. The surrogate follows too few particles for a
+    surface, so its smooth form uses the equivalent heights, and the emulator of the MPM represents the difference."""
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
         scene, rows, spacing = self.scene, len(self.fine), float(self.fine[1] - self.fine[0])

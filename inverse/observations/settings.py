@@ -46,9 +46,7 @@ class ObservationSettings(Record):
 
     def in_box(self, corner: Floats, keys: Sequence[str] | None = None) -> Self:
         """The settings with map coordinates converted to box coordinates; corner: of the box on the map [m], shape [D].
-
-        keys: the keys in map coordinates; default: all. Raises InputError, which names the key.
-        """
+        keys: the keys in map coordinates; default: all. Raises InputError, which names the key."""
         moved: dict[str, Any] = {}
         for key, axis in self.places.items():
             if (given := getattr(self, key)) is not None and (keys is None or key in keys):
@@ -106,9 +104,7 @@ class ObservationSettings(Record):
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         """The target of the measured numbers. Raises InputError, which names the key or the table.
-
-        folder: of relative paths; released: volume of the masses over the width [m^2], None if it is not known.
-        """
+        folder: of relative paths; released: volume of the masses over the width [m^2], None if it is not known."""
         operator = self.operator(scene)
         return self.compared(operator, self.stated(operator))
 

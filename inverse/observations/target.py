@@ -23,26 +23,16 @@ class Target:
     """The target of one observation, or of several (`joined`). Only reports use the fields after `roughness`."""
 
     observation: Observation
-    values: Values
-    """Shape [M]."""
-    errors: Covariance
-    """Covariance of the measurement errors."""
-    dof: Values | None = None
-    """Degrees of freedom of Student's t of each error, inf for normal errors, shape [M]; default: all normal."""
-    stated: Covariance | None = None
-    """The errors as stated, if `errors` has larger ones for outliers (`reweighted`)."""
-    profile: MeasuredProfile | None = None
-    """The measured profile, if its heights have errors."""
-    roughness: float = 1.0
-    """Scatter of its heights over their stated noise, included in `errors`."""
-    front: float = math.nan
-    """Front of the deposit [m], to compare with that of an MPM run; nan if unknown."""
-    cell: float | None = None
-    """Cell size of the simulated flow that was observed [m]; None for a measured flow."""
-    deposit: NDArray[np.floating] | None = None
-    """Positions of the deposit [m], if known, shape [N, D]."""
-    truth: dict[str, float] | None = None
-    """The true numbers, if known."""
+    values: Values  # shape [M]
+    errors: Covariance  # covariance of the measurement errors
+    dof: Values | None = None  # degrees of freedom of Student's t of each error, inf if normal, [M]; None: all normal
+    stated: Covariance | None = None  # the errors as stated, if `errors` has larger ones for outliers (`reweighted`)
+    profile: MeasuredProfile | None = None  # the measured profile, if its heights have errors
+    roughness: float = 1.0  # scatter of its heights over their stated noise, included in `errors`
+    front: float = math.nan  # front of the deposit [m], to compare with that of an MPM run; nan if unknown
+    cell: float | None = None  # cell size of the simulated flow that was observed [m]; None for a measured flow
+    deposit: NDArray[np.floating] | None = None  # positions of the deposit [m], if known, shape [N, D]
+    truth: dict[str, float] | None = None  # the true numbers, if known
 
     @property
     def deviation(self) -> Values:
@@ -56,8 +46,7 @@ class Target:
 
         Student's t is a normal distribution with a random variance; l is the mean of its precision given the
         residual (Lange, Little & Taylor, Robust statistical modeling using the t distribution, J. Am. Stat. Assoc. 84
-        (1989) 881-896; over a posterior Tipping & Lawrence, Neurocomputing 69 (2005) 123-141).
-        """
+        (1989) 881-896; over a posterior Tipping & Lawrence, Neurocomputing 69 (2005) 123-141)."""
         assert self.dof is not None, "normal errors have one weight"
         stated = self.stated or self.errors
         ratio = square / np.maximum(stated.deviation, 1e-300) ** 2

@@ -191,9 +191,7 @@ def changed_material(scene: Scene, name: str) -> tuple[str, Material] | None:
 
 def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str) -> None:
     """Raise InputError for parameters that the scene does not have, or whose bounds give an invalid scene.
-
-    parameters: key -> parameter; key: that of all together.
-    """
+    parameters: key -> parameter; key: that of all together."""
     names = [parameter.name for parameter in parameters.values()]
     for place, parameter in parameters.items():
         with keyed(place):

@@ -47,8 +47,7 @@ if TYPE_CHECKING:
     from mpm.adjoint.gradient import Gradient
 
 
-NODES_PER_LENGTH = 2.0
-"""Smallest correlation length over the node spacing: below it the covariance is not the stated one."""
+NODES_PER_LENGTH = 2.0  # least correlation length over the node spacing: below it the covariance is not as stated
 BAND = 1.959963984540054  # half-width of a band of 95 %, in standard deviations of a normal distribution
 MOST = 0.9  # largest width of the prior's band over the distance of the bounds
 WIDEST = 100.0  # deviation of u with which every band is as wide as its bounds
@@ -66,11 +65,9 @@ DIGITS, UNEVEN = 9, 1.0e-7
 
 
 class UnknownField:
-    """One unknown field over the masses or the terrain of a scene; K values, W numbers of the prior.
-
-    Values are given at the nodes of a grid over the particles, in plan for a thickness or the friction of a terrain, or
-    one for each zone of a terrain. Raises InputError.
-    """
+    """One unknown field over the masses or the terrain of a scene; K values, W numbers of the prior. Values are given
+    at the nodes of a grid over the particles, in plan for a thickness or the friction of a terrain, or one for each
+    zone of a terrain. Raises InputError."""
 
     def __init__(self, settings: Parameter, scene: Scene, folder: Path = Path()) -> None:
         """folder: to which the path of a raster of zones is relative."""
@@ -223,10 +220,8 @@ class UnknownField:
         self, gradient: "Gradient", values: Floats, explicit: Floats, slopes_by_name: dict[str, Any]
     ) -> Floats:
         """dJ/df [K] at `values` [K], from the gradient with respect to a run's initial state.
-
         explicit: derivatives of J with respect to the particles' volumes, if it depends on them directly, [N];
-        slopes_by_name: field name -> the part of this run that is the same for every J.
-        """
+        slopes_by_name: field name -> the part of this run that is the same for every J."""
         scene, settings, particles = gradient.scene, self.settings, gradient.particles
         if not self.in_plan:
             here, places = self.of(particles.mass), particles.positions
@@ -281,8 +276,7 @@ class Zones:
 
         raster, (corner, crs) = read_raster(path, coefficients=True), map_corner(scene)
         self.axes = [axis - low for axis, low in zip((raster.x, raster.z), corner, strict=True)]
-        self.numbers, which = np.unique(raster.values, return_inverse=True)
-        """Numbers of the zones, ascending, shape [K]."""
+        self.numbers, which = np.unique(raster.values, return_inverse=True)  # of the zones, ascending, shape [K]
         with naming(path):
             require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
             whole = bool(np.isfinite(self.numbers).all() and (self.numbers == np.round(self.numbers)).all())

@@ -20,11 +20,9 @@ from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.scene.material import Material, sine_of_slope
 from gns.surroundings.initial import InitialState
 
-Vector = NDArray[np.float64]
-"""One value per parameter, in the order of the problem and the units of the names; shape [U]."""
+Vector = NDArray[np.float64]  # a value per parameter, in the order of the problem and the units of the names, [U]
 
-Draft = SimpleNamespace
-"""The fields of a scene while parameters change one after another, so that the scene is checked only once."""
+Draft = SimpleNamespace  # the fields of a scene while parameters change one by one, so that it is checked only once
 Input = Callable[[Any, InitialState, Tensor], InitialState]
 """A kind, an initial state and a value -> the initial state with that value, differentiable in it."""
 T = TypeVar("T", float, Tensor)
@@ -33,8 +31,7 @@ WITHOUT = dict.fromkeys(("permeability", "consolidation"), "its water does not f
 WITHOUT |= {"softening_length": "it never falls to a residual strength"}
 WITHOUT |= {"friction_limit_deg": "its friction does not grow with the rate"}
 """Constant -> behaviour of a material without it, if another constant requires it."""
-INSTEAD = {"permeability": "consolidation", "consolidation": "permeability"}
-"""Constant -> the constant that a material may state instead."""
+INSTEAD = {"permeability": "consolidation", "consolidation": "permeability"}  # what a material may state instead
 OWNERS = {"thickness": "a mass of kind layer", "discharge_factor": "an inflow"}
 OWNERS |= dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
 """Attribute -> its owner; other attributes belong to surfaces."""
@@ -50,8 +47,7 @@ class Kind:
     index: int | None = None  # of the mass, baffle or solid; None for the scene as a whole
     attribute: str = ""  # attribute that holds it; default: the last part of its name
     axis: int | None = None  # component, if the attribute is a vector
-    positive: bool = True
-    """Whether it is a quantity with a natural zero and no sign, so that an error can be compared with the value."""
+    positive: bool = True  # whether it has a natural zero and no sign, so that an error can be compared with the value
     changes_volume: bool = False  # whether it changes the released volume
     order: int = 2
     """Parameters are set in ascending order: shared constants (0), then those of a mass, which take precedence (2);
@@ -282,13 +278,17 @@ def with_cohesion(kind: Constant, initial: InitialState, value: Tensor) -> Initi
 
 
 def with_velocity(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
-    """Initial velocity of a mass [m/s]; its particles' history is that of a constant velocity."""
+    """Initial velocity of a mass [m/s]."""
+    return thrown(initial, initial.of_mass(kind.index), kind.axis or 0, value)
+
+
+def thrown(initial: InitialState, members: Tensor, axis: int, velocity: Tensor) -> InitialState:
+    """The state in which particles, members [n], have a velocity along an axis [m/s], one or [n], and always had it."""
     state = initial.state
-    along = torch.arange(state.positions.shape[1]) == kind.axis
-    mask = initial.of_mass(kind.index).unsqueeze(1) & along
-    displacement = (value * initial.step).to(state.displacements.dtype)
-    thrown = replace(state, displacements=torch.where(mask, displacement, state.displacements))
-    return replace(initial, state=thrown)
+    mask = members[:, None] & (torch.arange(state.positions.shape[1]) == axis)
+    displacement = (velocity * initial.step).to(state.displacements.dtype).reshape(-1, 1)
+    displacements = torch.where(mask, displacement, state.displacements)
+    return replace(initial, state=replace(state, displacements=displacements))
 
 
 def with_baffle(kind: Extent, initial: InitialState, value: Tensor) -> InitialState:

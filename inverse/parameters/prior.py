@@ -96,8 +96,7 @@ class Correlation(Record):
 class Marginal:
     """The prior of one number between its bounds."""
 
-    law: Any
-    """A SciPy distribution."""
+    law: Any  # a SciPy distribution
     lower: float
     upper: float
 

@@ -24,16 +24,11 @@ ALONG = (0.25, 0.5, 0.75)  # places along a segment at which the density is eval
 class Part:
     """A part of the region, in fractions of the ranges."""
 
-    point: Row
-    """The answer: the median of each number; if it lies outside the region, the region's nearest sample. Shape [U]."""
-    interval: Matrix
-    """Quantiles of 2.5 and 97.5 % of each number over the part, shape [2, U]."""
-    weight: float
-    """Share of the posterior."""
-    points: Matrix
-    """Samples in the part, shape [S, U]."""
-    threshold: float
-    """Log-likelihood above which parameters lie in the region."""
+    point: Row  # the answer: the median of each number, if it lies in the region, else its nearest sample; shape [U]
+    interval: Matrix  # quantiles of 2.5 and 97.5 % of each number over the part, shape [2, U]
+    weight: float  # share of the posterior
+    points: Matrix  # samples in the part, shape [S, U]
+    threshold: float  # log-likelihood above which parameters lie in the region
 
     @property
     def half_widths(self) -> Row:

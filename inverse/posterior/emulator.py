@@ -40,8 +40,7 @@ Trend = Callable[[Matrix], Matrix]  # points [S, U] -> the trend's functions the
 NUGGETS = np.array((1e-6, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1e4))  # g: a grid of quadrature
 NEGLIGIBLE = 1e-3  # weight of a nugget below which it is left out
 SHORTEST, LONGEST = 0.03, 20.0  # bounds of the search for the likeliest correlation length, in ranges
-LENGTH_STEPS = (0.8, 0.4, 0.2, 0.1)
-"""Steps of the search for their logarithms: the smallest is a tenth, well below the accuracy that runs allow."""
+LENGTH_STEPS = (0.8, 0.4, 0.2, 0.1)  # of the search for their logarithms: runs allow less accuracy than the smallest
 SAME = 1e-6  # difference below which two log-likelihoods are equal
 
 
@@ -71,17 +70,12 @@ def correlation(one: Matrix, other: Matrix, lengths: Matrix) -> Matrix:
 class Emulator:
     """The Gaussian process, conditioned on runs."""
 
-    points: Matrix
-    """Shape [n, U]."""
-    numbers: Matrix
-    """Shape [n, r]."""
-    expected_scatter: Matrix
-    """Expected standard deviation of each component from flow to flow, before any run, shape [r]."""
-    lengths: Matrix
-    """Shape [U]."""
+    points: Matrix  # shape [n, U]
+    numbers: Matrix  # shape [n, r]
+    expected_scatter: Matrix  # expected standard deviation of each component from flow to flow, shape [r]
+    lengths: Matrix  # shape [U]
     trend: Trend = linear
-    repeats: int = 0
-    """Degrees of freedom of that scatter from repeated runs; 0 without them."""
+    repeats: int = 0  # degrees of freedom of that scatter from repeated runs; 0 without them
 
     @property
     def freedom(self) -> int:
@@ -221,11 +215,9 @@ class Emulator:
         return errors**2 / np.maximum(variances, 1e-300), widths
 
     def variance_ratio(self, points: Matrix) -> Matrix:
-        """Factor by which the variances around points [S, U] are larger than stated, shape [S, r].
-
-        It is the mean squared leave-one-out error of the runs around, over its variance, with Gaussian weights by
-        Scott's rule (Multivariate density estimation, 1992); `ratio_prior` runs of ratio 1 are added.
-        """
+        """Factor by which the variances around points [S, U] are larger than stated, shape [S, r]. It is the mean
+        squared leave-one-out error of the runs around, over its variance, with Gaussian weights by Scott's rule
+        (Multivariate density estimation, 1992); `ratio_prior` runs of ratio 1 are added."""
         ratios, widths = self._left_out_ratio
         near = np.exp(-0.5 * squared_distance(points, self.points, widths))
         total = near.sum(axis=1) + CONSTANTS.ratio_prior
@@ -248,12 +240,10 @@ def fitted(points: Matrix, numbers: Matrix, expected: Matrix, *, trend: Trend = 
 
 
 def likeliest(log_likelihood: Callable[[NDArray[np.int64]], float], start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The logarithms of the likeliest correlation lengths, as multiples of the smallest step, shape [U].
-
-    They come from a pattern search over a lattice (Hooke & Jeeves, "Direct search" solution of numerical and
-    statistical problems, J. ACM 8 (1961) 212-229). The likelihood is flat at its top, so that a descent would end by
-    the last digits of its slopes, which differ between processors, and so would all later samples and runs.
-    """
+    """The logarithms of the likeliest correlation lengths, as multiples of the smallest step, shape [U]. They come from
+    a pattern search over a lattice (Hooke & Jeeves, "Direct search" solution of numerical and statistical problems, J.
+    ACM 8 (1961) 212-229). The likelihood is flat at its top, so that a descent would end by the last digits of its
+    slopes, which differ between processors, and so would all later samples and runs."""
     best, value = start.copy(), log_likelihood(start)
     smallest, largest = (round(math.log(length) / LENGTH_STEPS[-1]) for length in (SHORTEST, LONGEST))
     for step in LENGTH_STEPS:
@@ -272,12 +262,10 @@ def likeliest(log_likelihood: Callable[[NDArray[np.int64]], float], start: NDArr
 def most_informative(
     emulator: Emulator, candidates: Matrix, count: int, scales: Row, relevance: Row | float = 1.0
 ) -> list[int]:
-    """The candidates [S, U] to run: those that reduce the emulator's variance over all candidates most.
-
-    They are chosen one after the other by the largest decrease, given those before (MacKay, Information-based objective
-    functions for active data selection, Neural Comput. 4 (1992) 590-604). scales: of the squares of each component [r];
-    relevance: weights of the candidates [S] in the mean of the variance.
-    """
+    """The candidates [S, U] to run: those that reduce the emulator's variance over all candidates most. They are chosen
+    one after the other by the largest decrease, given those before (MacKay, Information-based objective functions for
+    active data selection, Neural Comput. 4 (1992) 590-604). scales: of the squares of each component [r]; relevance:
+    weights of the candidates [S] in the mean of the variance."""
     parts = [emulator.covariance(candidates, component) for component in range(len(scales))]
     weights = np.broadcast_to(relevance, len(candidates))
     chosen: list[int] = []

@@ -48,10 +48,8 @@ SMALLEST = 1e-4  # smallest extent of a region, as a fraction of the range
 class Region:
     """A box within the unit box that has not been excluded."""
 
-    low: Row
-    """Shape [U]."""
-    high: Row
-    """Shape [U]."""
+    low: Row  # shape [U]
+    high: Row  # shape [U]
 
     @staticmethod
     def whole(unknowns: int) -> "Region":
@@ -105,17 +103,13 @@ class Region:
 class Regime:
     """A regime, by the runs inside and outside it."""
 
-    inside: Matrix
-    """Points of the runs inside, shape [n, U]."""
-    outside: Matrix
-    """Points of all other runs, shape [m, U]."""
+    inside: Matrix  # points of the runs inside, shape [n, U]
+    outside: Matrix  # points of all other runs, shape [m, U]
 
     def __call__(self, points: Matrix) -> Row:
-        """Log-probability that points [S, U] are in the regime, shape [S].
-
-        It is the share of runs inside, each weighted by its distance to the power -(U + 2) (Shepard, A two-dimensional
-        interpolation function for irregularly-spaced data, Proc. ACM Natl. Conf. 23 (1968) 517-524).
-        """
+        """Log-probability that points [S, U] are in the regime, shape [S]. It is the share of runs inside, each
+        weighted by its distance to the power -(U + 2) (Shepard, A two-dimensional interpolation function for
+        irregularly-spaced data, Proc. ACM Natl. Conf. 23 (1968) 517-524)."""
         power = 0.5 * points.shape[1] + 1.0
         squares = (squared_distance(points, runs, np.ones(1)) for runs in (self.inside, self.outside))
         inside, outside = ((np.maximum(square, 1e-12) ** -power).sum(axis=1) for square in squares)
@@ -127,18 +121,12 @@ class Likelihood:
     """The likelihood of the components of the target."""
 
     emulator: Emulator
-    target: Row
-    """Shape [r]."""
-    fixed: Matrix
-    """F^2 (S + N + D), shape [r, r]."""
-    freedom: float
-    """nu."""
-    regime: Regime | None = None
-    """The regime of the target's flow; default: everywhere."""
-    within: Callable[[Matrix], Row] | None = None
-    """Log-probability that points [S, U] are not excluded already, shape [S]."""
-    prior: Callable[[Matrix], Row] | None = None
-    """Logarithm of a stated prior over the uniform one at points [S, U], shape [S]."""
+    target: Row  # shape [r]
+    fixed: Matrix  # F^2 (S + N + D), shape [r, r]
+    freedom: float  # nu
+    regime: Regime | None = None  # the regime of the target's flow; default: everywhere
+    within: Callable[[Matrix], Row] | None = None  # log-probability that points [S, U] are not excluded, shape [S]
+    prior: Callable[[Matrix], Row] | None = None  # logarithm of a stated prior over the uniform one, shape [S]
 
     def __call__(self, points: Matrix) -> Row:
         """Logarithm of the likelihood times the prior over the uniform one, at points [S, U], shape [S]."""
@@ -186,16 +174,11 @@ class Posterior:
     reduction: Reduction
     likelihood: Likelihood
     samples: Samples
-    region: Region
-    """The region that had not been excluded before."""
-    near: NDArray[np.bool_]
-    """Which of all runs the emulator uses, shape [n]."""
-    deviation: Row
-    """Standard deviation of the counted errors of each number, shape [M]."""
-    unmeasured: Matrix
-    """F^2 (S + D) of the components, shape [r, r]."""
-    explained: Row
-    """Largest variance of each component that repeated runs explain, shape [r]; above it the emulator does not fit."""
+    region: Region  # the region that had not been excluded before
+    near: NDArray[np.bool_]  # which of all runs the emulator uses, shape [n]
+    deviation: Row  # standard deviation of the counted errors of each number, shape [M]
+    unmeasured: Matrix  # F^2 (S + D) of the components, shape [r, r]
+    explained: Row  # largest variance of each component that repeated runs explain, shape [r]; above it there is misfit
 
     @property
     def emulator(self) -> Emulator:
@@ -243,12 +226,10 @@ def posterior(
     prior: Callable[[Matrix], Row] | None = None,
 ) -> Posterior:
     """The posterior given runs at points [n, U] with results `numbers` [n, M].
-
     scatter: expected standard deviation of each number from flow to flow [M]; region: region that is not excluded and
     contains the runs that count, by default the whole box; factor: F; discretisation: change d of the numbers by the
     cells [M]; extrapolated: share e of d that no run has shown (`inverse.noise.biases`); trends: candidates, of which
-    the one with the smallest leave-one-out errors is used; within, prior: see `Likelihood`.
-    """
+    the one with the smallest leave-one-out errors is used; within, prior: see `Likelihood`."""
     unknowns = points.shape[1]
     region = region or Region.whole(unknowns)
     near = region.inside(points)
@@ -296,11 +277,9 @@ def posterior(
 
 
 def regime_of(components: Matrix, points: Matrix, near: NDArray[np.bool_], target: Row) -> NDArray[np.bool_] | None:
-    """Which of the runs at points [n, U] with components [n, r] are in the target's [r] regime.
-
-    They are the runs before the widest gap in the distances from the target. None if the gap is no wider than
-    `regime_gap`, or if the runs among them that are `near` [n] are too few for an emulator, or all of `near`.
-    """
+    """Which of the runs at points [n, U] with components [n, r] are in the target's [r] regime. They are the runs
+    before the widest gap in the distances from the target. None if the gap is no wider than `regime_gap`, or if the
+    runs among them that are `near` [n] are too few for an emulator, or all of `near`."""
     distances = np.sqrt(((components - target) ** 2).sum(axis=1))
     ordered = np.sort(distances[near])
     _, first = np.unique(points[near], axis=0, return_index=True)
@@ -325,11 +304,9 @@ def emulated(
 
 
 def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple[Row, int]:
-    """Standard deviation of each component [n, r] from repeated runs at points [n, U], and degrees of freedom.
-
-    Each has `scatter_prior` additional degrees of freedom, of all components together, and is at least
-    `smallest_scatter` times `expected` [r]. Without repeated runs it is `expected`.
-    """
+    """Standard deviation of each component [n, r] from repeated runs at points [n, U], and degrees of freedom. Each has
+    `scatter_prior` additional degrees of freedom, of all components together, and is at least `smallest_scatter` times
+    `expected` [r]. Without repeated runs it is `expected`."""
     _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     freedom = int((count - 1).sum())
     if freedom == 0:
@@ -343,11 +320,9 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple
 
 
 def next_points(posterior: Posterior, count: int, rng: np.random.Generator) -> Matrix:
-    """Points at which further runs reduce the emulator's variance most, among plausible ones, shape [count, U].
-
-    The variance is over all components, each in units of its scatter and noise. With more than `few_parameters`, points
-    fill the region evenly, because the space between few samples of many dimensions would remain unknown.
-    """
+    """Points at which further runs reduce the emulator's variance most, among plausible ones, shape [count, U]. The
+    variance is over all components, each in units of its scatter and noise. With more than `few_parameters`, points
+    fill the region evenly, because the space between few samples of many dimensions would remain unknown."""
     if posterior.samples.points.shape[1] > CONSTANTS.few_parameters:
         return posterior.next_region.filled(count, rng)
     candidates = np.unique(posterior.plausible.drawn(300, rng), axis=0)

@@ -25,20 +25,13 @@ SMALL = 0.1  # root mean square of a further direction, over scatter and noise, 
 class Reduction:
     """From M numbers to r components."""
 
-    mean: Row
-    """Shape [M]."""
-    weights: Row
-    """W, shape [M]."""
-    basis: Matrix
-    """B, shape [M, r]."""
-    expected_scatter: Row
-    """Standard deviation of a component from flow to flow, before runs have shown it, shape [r]."""
-    components: Matrix
-    """Components of the runs, each in the directions from the other runs, shape [n, r]."""
-    noise: Matrix
-    """Covariance of the components by errors of the measurement, shape [r, r]."""
-    remainder: Row
-    """Standard deviation over the runs of each number's part orthogonal to the components, shape [M]."""
+    mean: Row  # shape [M]
+    weights: Row  # W, shape [M]
+    basis: Matrix  # B, shape [M, r]
+    expected_scatter: Row  # standard deviation of a component from flow to flow, before runs have shown it, shape [r]
+    components: Matrix  # components of the runs, each in the directions from the other runs, shape [n, r]
+    noise: Matrix  # covariance of the components by errors of the measurement, shape [r, r]
+    remainder: Row  # standard deviation over the runs of each number's part orthogonal to the components, shape [M]
 
     def __call__(self, numbers: Matrix) -> Matrix:
         """Components [..., r] of numbers [..., M]."""
@@ -75,13 +68,11 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
 
 
 def cross_fitted(weighted: Matrix, points: Matrix, first: Matrix) -> Matrix:
-    """Components [n, r] of runs [n, M] at points [n, U] in the directions `first` [M, r], cross-fitted.
-
-    A slope contains some of each run's own deviation, hence cross-fitting (Chernozhukov et al., Double/debiased machine
+    """Components [n, r] of runs [n, M] at points [n, U] in the directions `first` [M, r], cross-fitted. A slope
+    contains some of each run's own deviation, hence cross-fitting (Chernozhukov et al., Double/debiased machine
     learning for treatment and structural parameters, Econom. J. 21 (2018) C1-C68, section 3). Of the slopes without the
-    runs at one point it uses those whose projection on `first` is `first`. A direction whose slope is at most
-    `STEEP` standard errors keeps the components of all runs: along it there is only curvature and scatter.
-    """
+    runs at one point it uses those whose projection on `first` is `first`. A direction whose slope is at most `STEEP`
+    standard errors keeps the components of all runs: along it there is only curvature and scatter."""
     components, products = weighted @ first, weighted @ weighted.T
     crossed = components.copy()
     functions = np.concatenate([np.ones((len(points), 1)), points], axis=1)

@@ -26,18 +26,12 @@ JUMP = 0.1  # share of moves by the whole difference, which lead from one maximu
 class Samples:
     """Weighted samples of a posterior."""
 
-    points: Matrix
-    """Shape [S, U], in fractions of the ranges."""
-    weights: Row
-    """Shape [S], together 1."""
-    log_likelihood: Row
-    """Shape [S]."""
-    evidence: float
-    """Logarithm of the mean likelihood over the part of the prior that is not excluded."""
-    difference: float
-    """Largest difference between the means of two populations, in standard deviations of the posterior."""
-    acceptance: float
-    """Share of the moves that were accepted at the last stage."""
+    points: Matrix  # shape [S, U], in fractions of the ranges
+    weights: Row  # shape [S], together 1
+    log_likelihood: Row  # shape [S]
+    evidence: float  # logarithm of the mean likelihood over the part of the prior that is not excluded
+    difference: float  # largest difference between the means of populations, in standard deviations of the posterior
+    acceptance: float  # share of the moves that were accepted at the last stage
 
     @property
     def mean(self) -> Row:

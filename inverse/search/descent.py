@@ -50,8 +50,8 @@ STARTS = 6  # largest number of starts
 STEPS = 6  # largest number of steps from each start
 RADIUS = 0.1  # first radius of the trust region, in ranges of the box
 NEGLIGIBLE = 0.02  # decrease of L too small for a further step: a seventh of a standard deviation of one number
-ROUNDS, KNOWN = 3, 0.3
-"""Most searches for minima; largest share of the emulator in the variance before further predictions are made."""
+ROUNDS = 3  # most searches for minima
+KNOWN = 0.3  # share of the emulator in the variance, above which further predictions are made
 ROUGH = 0.05  # expected roughness of a surrogate's numbers, over their standard deviations from C
 
 

@@ -37,23 +37,16 @@ class Inference:
     """The posterior of the parameters from an emulator of the runs."""
 
     problem: Problem
-    target: Target
-    """The target of the runs, shape [M]; for a surrogate, with its errors."""
-    scatter: Values
-    """Expected standard deviation of each number from run to run, shape [M]."""
+    target: Target  # the target of the runs, shape [M]; for a surrogate, with its errors
+    scatter: Values  # expected standard deviation of each number from run to run, shape [M]
     guide: "Inversion | None" = None
     """The result of a surrogate, whose region confines the posterior. With more than `few_parameters` it does so only
     for the first runs: later their own emulator excludes enough, even if the surrogate's band is too narrow."""
-    factor: float = 1.0
-    """Factor of the discrepancy."""
-    spared: bool = False
-    """Whether the factor leaves the error of the cells unchanged."""
-    discretisation: Values | None = None
-    """Error of the numbers due to the scene's cells, from runs on other cells, shape [M]."""
-    extrapolated: float = 1.0
-    """Share of that error that the runs do not show."""
-    region: Region | None = None
-    """Region of the runs that count in the next update; default: the region that the latest posterior leaves."""
+    factor: float = 1.0  # factor of the discrepancy
+    spared: bool = False  # whether the factor leaves the error of the cells unchanged
+    discretisation: Values | None = None  # error of the numbers due to the scene's cells, by runs on others, shape [M]
+    extrapolated: float = 1.0  # share of that error that the runs do not show
+    region: Region | None = None  # of the runs that count in the next update; default: what the latest posterior leaves
     latest: Posterior | None = None
 
     @property
@@ -99,9 +92,7 @@ class Inference:
 
     def left(self, points: Matrix, *, known: bool) -> Region | None:
         """The region that is not excluded: around the latest samples, once it contains enough of the runs [n, U].
-
-        known: whether some runs were made for other targets; these lie anywhere, so more must scatter alike.
-        """
+        known: whether some runs were made for other targets; these lie anywhere, so more must scatter alike."""
         if self.latest is None:
             few = self.guide is None or self.guide.region is None
             return None if few else Region(low=points.min(axis=0), high=points.max(axis=0))
@@ -115,20 +106,14 @@ class Inference:
 
 @dataclass(frozen=True, kw_only=True)
 class Inversion(WaveSearch[ModelRun, Inference]):
-    """The result of one forward model: a search by its predictions, and the stationary points of its misfit.
-
-    The factor of its knowledge widens its region beyond its band, according to the results of the MPM.
-    """
+    """The result of one forward model: a search by its predictions, and the stationary points of its misfit. The factor
+    of its knowledge widens its region beyond its band, according to the results of the MPM."""
 
     forward: Forward
-    minima: Matrix
-    """Points at which the steps from each start ended, shape [k, U]."""
-    settled: NDArray[np.bool_]
-    """Which of them have converged, shape [k]."""
-    rough: float
-    """Expected roughness of the numbers, over their standard deviations from C."""
-    region: Region | None = None
-    """Part of the box in which the posterior is sampled; default: the whole box."""
+    minima: Matrix  # points at which the steps from each start ended, shape [k, U]
+    settled: NDArray[np.bool_]  # which of them have converged, shape [k]
+    rough: float  # expected roughness of the numbers, over their standard deviations from C
+    region: Region | None = None  # part of the box in which the posterior is sampled; default: the whole box
     seconds: float = 0.0
 
     @property
@@ -219,10 +204,8 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         return np.stack(chosen[-count:])
 
     def compared(self, points: Matrix, shown: Matrix) -> "Inversion":
-        """The same with a region wide enough for the results `shown` [n, M] of MPM runs at points [n, U].
-
-        The criterion is the squared difference in units of C, whose mean is 1 for each number if the band is right.
-        """
+        """The same with a region wide enough for the results `shown` [n, M] of MPM runs at points [n, U]. The criterion
+        is the squared difference in units of C, whose mean is 1 for each number if the band is right."""
         belief, factor = self.posterior, self.knowledge.factor
         places, label = np.unique(points, axis=0, return_inverse=True)
         selected = np.stack([self.forward.select(row) for row in shown])
@@ -234,10 +217,8 @@ class Inversion(WaveSearch[ModelRun, Inference]):
 
 
 def left_out(search: WaveSearch[Any, Any]) -> dict[str, dict[str, float]]:
-    """Half-widths of the numbers without each of several observations, and with all (`ALL_DATA`), by their names.
-
-    They come from an emulator of all runs over the whole box, anywhere in which such a posterior may lie.
-    """
+    """Half-widths of the numbers without each of several observations, and with all (`ALL_DATA`), by their names. They
+    come from an emulator of all runs over the whole box, anywhere in which such a posterior may lie."""
     knowledge: Inference = search.knowledge
     names, widths = [part.name for part in knowledge.target.observation.parts], {}
     if len(names) < 2:
@@ -294,9 +275,7 @@ def searched(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
 
 def narrowed(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
     """The search with an emulator of the runs around the samples only, if these form one part and it knows more there.
-
-    Scatter and curvature vary over the box: an emulator of the whole box averages their variances.
-    """
+    Scatter and curvature vary over the box: an emulator of the whole box averages their variances."""
     before = search.knowledge.posterior
     wide = CONSTANTS.around_deviations * np.sqrt(np.diag(before.samples.covariance)) + SMALLEST
     low, high = np.maximum(before.samples.mean - wide, 0.0), np.minimum(before.samples.mean + wide, 1.0)

@@ -27,10 +27,8 @@ from inverse.posterior.posterior import Region
 class ModelRun:
     """A run of a forward model."""
 
-    point: Row
-    """Its parameters in fractions of their ranges, shape [U]."""
-    numbers: Row
-    """Its results, shape [M]."""
+    point: Row  # its parameters in fractions of their ranges, shape [U]
+    numbers: Row  # its results, shape [M]
 
 
 def runs_of(points: Matrix, numbers: Iterable[Row]) -> list[ModelRun]:
@@ -49,17 +47,12 @@ class WaveSearch(Generic[R, K]):
     model: Callable[..., Sequence[R]]
     """The forward model: points [n, U] in fractions of the ranges, and the number of the first run -> the runs. It
     decides the jitter of each, so that an interrupted search finds its stored runs again."""
-    knowledge: K
-    """The latest knowledge from the runs."""
-    seed: int
-    """Seed of the random numbers."""
-    budget: int
-    """Largest number of runs."""
+    knowledge: K  # the latest knowledge from the runs
+    seed: int  # seed of the random numbers
+    budget: int  # largest number of runs
     runs: tuple[R, ...] = ()
-    known: tuple[R, ...] = ()
-    """Earlier runs for other targets, which do not count towards the budget."""
-    waves: tuple[K, ...] = ()
-    """The knowledge after each wave."""
+    known: tuple[R, ...] = ()  # earlier runs for other targets, which do not count towards the budget
+    waves: tuple[K, ...] = ()  # the knowledge after each wave
 
     @property
     def left(self) -> int:

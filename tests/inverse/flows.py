@@ -13,7 +13,9 @@ from datasets.scene.grid_field import Floats
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from inverse import Parameter, Problem, TargetSettings
-from inverse.observations import DepositSettings
+from inverse.observations import DepositSettings, FrontSettings, Observation
+from inverse.observations.errors import Covariance
+from inverse.observations.target import Target
 from inverse.parameters import kind
 from tests.scenes import scene_of
 
@@ -48,6 +50,7 @@ FLOWS: dict[int | str, Scene] = {
         **PLANE,
     ),
 }
+FRONT = FrontSettings().operator(FLOWS[2])
 W, M = 30, 7  # white numbers and observed ones of `LinearFlow`
 WIDE = {"deg": 8.0, "Pa": 50.0, "m/s": 0.5, "m": 0.005, "-": 0.08}  # half of a range between bounds, by its unit
 
@@ -65,6 +68,12 @@ class LinearFlow:
 
     def jacobian(self, white: Floats, rows: Floats, seeds: Sequence[int]) -> Floats:
         return np.asarray(rows @ ((1.0 + 3.0 * self.bend * (self.matrix @ white) ** 2)[:, None] * self.matrix))
+
+
+def target_of(values: Floats, errors: Covariance | float = 0.0, observation: Observation = FRONT) -> Target:
+    """Numbers to find, whatever was observed; errors: their covariance, or one standard deviation of all."""
+    stated = errors if isinstance(errors, Covariance) else Covariance(np.full(len(values), errors))
+    return Target(observation=observation, values=values, errors=stated)
 
 
 def simulator_of(dimension: int) -> Simulator:

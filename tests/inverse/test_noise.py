@@ -6,18 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.scene.grid_field import Floats
 from inverse.noise import Scatter, fit
-from inverse.observations import FrontSettings
 from inverse.observations.errors import Covariance
-from inverse.observations.target import Target
-from inverse.problem import read_problem
-
-FRONT = FrontSettings().operator(read_problem("friction-tall-42").scene)
-
-
-def target_of(values: Floats, deviation: float) -> Target:
-    return Target(observation=FRONT, values=values, errors=Covariance(np.full(len(values), deviation)))
+from tests.inverse.flows import target_of
 
 
 def scatter_of(rng: np.random.Generator, size: int, width: float, *, expected: float = 0.1) -> Scatter:
@@ -85,7 +76,7 @@ def test_the_degrees_of_freedom_are_those_of_the_whole_covariance(dependent: boo
     variance = share * scatter.variance
     whole = matrix + flows + np.diag(np.maximum(variance - np.diag(flows), 0.0))
     scale = np.sqrt(1.0 + variance)
-    target = Target(observation=FRONT, values=np.zeros(size), errors=errors if dependent else Covariance(np.ones(size)))
+    target = target_of(np.zeros(size), errors if dependent else 1.0)
     fitted = fit(target, rng.normal(size=(count, size)), scatter)
     assert fitted.freedom[0] == pytest.approx(size**2 / np.sum((whole / np.outer(scale, scale)) ** 2), rel=1e-9)
 

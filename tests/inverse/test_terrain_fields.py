@@ -25,11 +25,9 @@ from inverse.fields.inversion import LED_CHECKS, LED_RUNS, led
 from inverse.fields.search import Objective, doubted
 from inverse.fields.surrogate import SurrogateFlow, leading
 from inverse.forward.gns import Band
-from inverse.observations.errors import Covariance
 from inverse.observations.plan import ThicknessSettings
-from inverse.observations.target import Target
 from mpm.adjoint.gradient import gradient
-from tests.inverse.flows import LinearFlow, M, W
+from tests.inverse.flows import LinearFlow, M, W, target_of
 from tests.refusals import refused
 
 RAMP = tuple(tuple(0.3 - 0.3 * x + 0.02 * abs(z) for z in range(-1, 6)) for x in np.linspace(-0.2, 1.0, 7))
@@ -329,7 +327,7 @@ def test_a_surrogate_that_lacks_an_unknown_is_refused_out_of_its_range_too(path:
     Path(path).write_text(PROBLEM.replace('"none"', '"gns"', 1).replace("0.6 },", f"0.6 }}, {young}"))
     problem = read_problem(path)
     operator = ThicknessSettings(cell=0.1).operator(problem.scene)
-    target = Target(observation=operator, values=np.zeros(operator.count), errors=Covariance(np.ones(operator.count)))
+    target = target_of(np.zeros(operator.count), 1.0, operator)
     assert refused(leading, problem, target, said="young is no input of it").key == "surrogate"
 
 
@@ -356,9 +354,7 @@ def test_a_surrogate_leads_and_runs_correct_it(path: str) -> None:
     truth, lead = (SurrogateFlow(problem, operator, Dragged(settings, share), Band()) for share in (1.5, 1.0))
     rng = np.random.default_rng(5)
     (values,) = truth.observe([rng.normal(size=truth.size)], [1000])
-    errors = Covariance.correlated(np.full(len(values), 0.004), operator.grid.positions, None)
-    target = Target(observation=operator, values=values, errors=errors)
-    result = led(truth, lead, target)
+    result = led(truth, lead, target_of(values, 0.004, operator))
     objective = result.surrogate["objective"]
     assert truth.runs <= 1 + LED_RUNS - LED_CHECKS
     assert lead.reverses > 0

@@ -113,10 +113,9 @@ def test_errors_are_drawn_as_they_are_stated(errors: Covariance) -> None:
 HEAD = 'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
 
 
-def written(folder: Path, text: str, scene: str = "column-tall-42") -> Problem:
-    path = folder / "problem.toml"
-    path.write_text(HEAD.replace("column-tall-42", scene) + text)
-    return read_problem(str(path))
+def written(folder: Path, text: str) -> Problem:
+    (folder / "problem.toml").write_text(HEAD + text)
+    return read_problem(str(folder / "problem.toml"))
 
 
 def joint(folder: Path, text: str) -> tuple[Joint, np.ndarray]:

@@ -291,3 +291,5 @@ def test_places_of_a_problem_are_on_the_map_of_its_scene(tmp_path: Path) -> None
     refused(read_problem, str(tmp_path / "problem.toml"), said=said)
     (tmp_path / "problem.toml").write_text(problem.replace("noise = 0.1", "noise = 0.1\nwindow = -1.0"))
     assert "corner" not in str(refused(read_problem, str(tmp_path / "problem.toml"), said="observations[4].window"))
+    (tmp_path / "problem.toml").write_text(problem.replace("upper = 40.0", "upper = 10.0"))
+    refused(read_problem, str(tmp_path / "problem.toml"), said="unknowns[0].upper: expected a value above 20")

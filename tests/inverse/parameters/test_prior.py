@@ -12,14 +12,12 @@ from scipy import stats
 from datasets.schema import changed, from_mapping
 from inverse import Correlation, Parameter, Prior, Problem, read_problem
 from inverse.answer import Answer, Combination, unidentified
-from inverse.observations.errors import Covariance
 from inverse.parameters.prior import JointPrior
 from inverse.posterior import Matrix
 from inverse.posterior.posterior import posterior
 from inverse.posterior.sampling import Samples, sample
 from inverse.search.descent import inverted
-from tests.inverse.flows import problem_of
-from tests.inverse.posterior.test_posterior import target_of
+from tests.inverse.flows import problem_of, target_of
 from tests.inverse.search.test_descent import NAMES, Formula, WithGradient
 from tests.refusals import refused
 
@@ -175,8 +173,7 @@ def test_the_gradient_ends_at_the_most_probable_parameters(made: type[Formula]) 
     forward = made(problem, curvature=0.0)
     (values,) = forward.observe([low + np.array([0.4]) * width])
     noise = 0.05 * 0.1 * float(torch.linalg.norm(forward.matrix))
-    target = target_of(values, Covariance(np.full(len(values), noise)))
-    result = inverted(forward, problem, target, np.zeros(len(values)), rough=0.01)
+    result = inverted(forward, problem, target_of(values, noise), np.zeros(len(values)), rough=0.01)
     (answer,) = result.answers
     assert answer.point[0] == pytest.approx(0.5, abs=0.01)
     assert answer.half_widths[0] == pytest.approx(1.96 * 0.05 / np.sqrt(2.0), rel=0.25)

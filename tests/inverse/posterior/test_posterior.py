@@ -6,9 +6,6 @@ Samples of densities that are known exactly, and their separate parts.
 import numpy as np
 import pytest
 
-from inverse.observations import FrontSettings
-from inverse.observations.errors import Covariance
-from inverse.observations.target import Target
 from inverse.posterior import Matrix
 from inverse.posterior.answers import parts, quantiles
 from inverse.posterior.emulator import linear
@@ -16,15 +13,10 @@ from inverse.posterior.information import information
 from inverse.posterior.posterior import Posterior, Regime, Region, next_points, posterior, regime_of, repeated_scatter
 from inverse.posterior.reduction import cross_fitted, directions, reduction
 from inverse.posterior.sampling import sample
-from inverse.problem import read_problem
+from tests.inverse.flows import target_of
 
 SLOPES = np.array([[3.0, 0.2, 0.0, -1.0], [0.0, 1.5, 0.4, 1.0]])
 SCATTER = 0.02
-
-
-def target_of(values: Matrix, errors: Covariance | None = None) -> Target:
-    front = FrontSettings().operator(read_problem("friction-tall-42").scene)
-    return Target(observation=front, values=values, errors=errors or Covariance(np.zeros(len(values))))
 
 
 def inferred(*, truth: tuple[float, float] = (0.4, 0.7), seed: int = 0, **changes: object) -> Posterior:
@@ -107,7 +99,7 @@ def test_a_parameter_that_moves_nothing_keeps_its_prior(seed: int) -> None:
         return np.minimum(times * (0.5 + 1.7 * place), 0.13 * (0.5 + 1.7 * place) ** 2)
 
     numbers = shown(points[:, :1]) + 3e-4 * rng.standard_normal((13, 8))
-    target = target_of(shown(np.array([0.6])), Covariance(np.full(8, 5e-3)))
+    target = target_of(shown(np.array([0.6])), 5e-3)
     samples = posterior(points, numbers, target, scatter=np.full(8, 5e-3), rng=rng).samples
     assert 0.85 < np.sqrt(12.0 * samples.covariance[1, 1]) < 1.1
 

@@ -9,15 +9,12 @@ import torch
 from torch import Tensor
 
 from datasets.scene.grid_field import Floats
-from inverse.observations import ToeSettings
-from inverse.observations.errors import Covariance
-from inverse.observations.target import Target
 from inverse.posterior import Matrix
 from inverse.problem import Problem
 from inverse.search.descent import inverted
 from inverse.search.inference import Inversion
 from inverse.search.waves import ModelRun, WaveSearch, filling
-from tests.inverse.flows import problem_of
+from tests.inverse.flows import problem_of, target_of
 
 NAMES = ("friction_deg", "masses[0].velocity_x")
 
@@ -59,10 +56,8 @@ class WithOneSlope(WithGradient):
 
 def inversion(problem: Problem, forward: Formula, truth: Floats) -> Inversion:
     (values,) = forward.observe([truth])
-    observation = ToeSettings().operator(problem.scene)
-    target = Target(observation=observation, values=values, errors=Covariance(np.full(len(values), 1e-3)))
     forward.runs = 0
-    return inverted(forward, problem, target, np.zeros(len(values)), rough=1.0)
+    return inverted(forward, problem, target_of(values, 1e-3), np.zeros(len(values)), rough=1.0)
 
 
 @pytest.mark.parametrize("made", [Formula, WithGradient, WithOneSlope])
