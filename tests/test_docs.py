@@ -119,9 +119,9 @@ def test_the_gradients_of_the_page_agree() -> None:
     sides = sides.replace("print(type(forward).__name__, ", kept)
     namespace: dict[str, Any] = {"slopes": slopes}
     exec(sides, namespace)
-    # Millimetres per degree: the surrogate's is near the adjoint's.
+    # Metres per degree: the surrogate's slope over two degrees is near the adjoint's.
     assert slopes["AdjointForward"] == pytest.approx(-0.011, rel=0.2)
-    assert slopes["GnsForward"] == pytest.approx(slopes["AdjointForward"], rel=0.3)
+    assert namespace["differences"][1.0] == pytest.approx(slopes["AdjointForward"], rel=0.2)
     assert namespace["differences"][1e-4] == pytest.approx(slopes["GnsForward"], rel=1e-3)
     names: dict[str, Any] = {}
     exec(plain, names)
