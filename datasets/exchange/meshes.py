@@ -1,4 +1,4 @@
-"""Meshes of triangles: read by pyvista, OFF and MSH by meshio, which writes them all."""
+"""Meshes of triangles: read by pyvista, MSH by meshio, which writes them all."""
 
 import io
 import os
@@ -21,7 +21,6 @@ from datasets.scene import Scene
 
 MESHES = (".stl", ".obj", ".ply", ".off", ".msh", ".vtk", ".vtu")
 """Endings of meshes in formats that refer to no other file."""
-BY_MESHIO = (".off", ".msh")
 SINGLE = (".stl", ".ply")  # formats that are read in single precision
 STEPS = 1.0e5  # least steps of single precision over the extent of a mesh; fewer give a warning
 IN_PROCESS = (".stl", ".obj")  # formats whose readers survive any file
@@ -54,7 +53,14 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
         try:
             if path.suffix.lower() == ".obj":
                 mesh: Any = pyvista.PolyData(*read_obj(path))
-            elif path.suffix.lower() in BY_MESHIO:
+            elif path.suffix.lower() == ".off":
+                from vtkmodules.vtkIOGeometry import vtkOFFReader
+
+                reader = vtkOFFReader()
+                reader.SetFileName(str(path))
+                reader.Update()
+                mesh = pyvista.wrap(reader.GetOutput())
+            elif path.suffix.lower() == ".msh":
                 import meshio
 
                 given = meshio.read(path)
@@ -63,7 +69,8 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
             else:
                 mesh = pyvista.read(path)
         except SystemExit:  # meshio has printed why
-            raise InputError(f"expected a readable mesh, {output.getvalue().strip().splitlines()[0]}") from None
+            why = output.getvalue().strip().splitlines() or ["its format is another one"]
+            raise InputError(f"expected a readable mesh, {why[0]}") from None
         require(isinstance(mesh, pyvista.DataSet), "", "one mesh", type(mesh).__name__)
         mesh.clear_data()
         require(bool(np.isfinite(mesh.points).all()), "", "vertices of finite coordinates", "others")
@@ -78,6 +85,8 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
             if merged.n_open_edges == 0:
                 break
         require(merged.n_cells > 0, "", "a mesh with triangles", "none")
+        # Gmsh writes the triangles of a surface facing both ways.
+        merged = merged.compute_normals(point_normals=False, non_manifold_traversal=False)
         return np.asarray(merged.points, np.float64), np.asarray(merged.regular_faces, np.int64)
 
 

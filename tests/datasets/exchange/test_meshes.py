@@ -78,7 +78,8 @@ end_header
         ("cube.ply", PLY.format(2_000_000_000), "a readable mesh, its reader broke off"),
         ("cube.ply", PLY.replace("3 0 1 {0}\n", ""), "a mesh with triangles"),
         ("cube.vtu", "<VTKFile/>", ""),
-        ("cube.off", "hello", "a readable mesh, Expected the first line to be `OFF`"),
+        ("cube.off", "hello", "a mesh with triangles"),
+        ("cube.msh", "hello", "a readable mesh, "),
     ],
 )
 def test_damaged_meshes_are_one_line(tmp_path: Path, name: str, text: str, said: str) -> None:
@@ -92,6 +93,20 @@ def test_other_formats(tmp_path: Path, name: str, kind: str) -> None:
     vertices, triangles = sphere((0.0, 0.0, 0.0), 1.0, 32)
     meshio.Mesh(vertices, [("triangle", triangles.astype(np.int32))]).write(tmp_path / name, file_format=kind)
     assert volume_of(tmp_path / name) == pytest.approx(4.0 / 3.0 * np.pi, rel=0.03)
+
+
+def test_faces_of_four_corners_with_colours(tmp_path: Path) -> None:
+    corners = "".join("{} {} {}\n".format(*corner) for corner in 2.0 * CUBE)
+    faces = "".join("4 {} {} {} {} 255 0 0\n".format(*(np.array(quad) - 1)) for quad in QUADS)
+    (tmp_path / "cube.off").write_text(f"OFF\n8 6 0\n{corners}{faces}")
+    assert volume_of(tmp_path / "cube.off") == pytest.approx(8.0)
+
+
+def test_triangles_that_face_both_ways_are_turned(tmp_path: Path) -> None:
+    vertices, triangles = sphere((0.0, 0.0, 0.0), 1.0, 32)
+    triangles[::3] = triangles[::3, ::-1]
+    meshio.Mesh(vertices, [("triangle", triangles.astype(np.int32))]).write(tmp_path / "ball.msh", file_format="gmsh")
+    assert volume_of(tmp_path / "ball.msh") == pytest.approx(4.0 / 3.0 * np.pi, rel=0.03)
 
 
 def test_a_mesh_of_gmsh() -> None:
