@@ -28,7 +28,7 @@ from gns.simulator import Simulator
 from gns.surroundings.forces import Normalisation
 
 WHAT = "whole weights of a model"
-FORMAT = "4"  # changes with the layout of the file
+FORMAT = "5"  # changes with the layout of the file
 
 
 @dataclass(frozen=True, kw_only=True)

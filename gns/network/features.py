@@ -60,6 +60,7 @@ NODES = {
     "cohesion over the weight above": Input(lambda s: 1, lambda x: x.strength),
     "forces of pressure and internal friction": Input(lambda s: 2 * s.dimension, lambda x: x.internal),
     "basal friction and damped motion": Input(lambda s: 2 * s.dimension, lambda x: torch.hstack((x.basal, x.damped))),
+    "cohesion": Input(lambda s: s.dimension, lambda x: x.together),
 }
 # Edge features, from the offset of the sender from the receiver over the radius [-], shape [E, D].
 EDGES = {

@@ -9,10 +9,14 @@ Therefore such products are features; some of them are forces, for which the net
     basal    = -m v* / sqrt(|v*|^2 + m^2) / g dt^2,      m = min(mu, tan(phi)) g_n dt^2
                                                          mu of a ground + |v|^2 / (xi h), Voellmy's turbulence
     strength = r / (1 + r),  r = c / (rho g (h + cell))  cohesion over the weight h of the column above
+    together = strength (v_r - v_b) / g dt^2,            v_b = v + (g_t + basal g) dt^2
 
 The basal friction is that of a layer which slides as a whole (Savage & Hutter, J. Fluid Mech. 199, 1989, eq. 2.21): its
 friction on the floor or the ground or, if rougher, within itself. It acts on the displacement v* along the floor or
-ground that gravity alone would cause, and at most stops it. On the background grid, shearing sand carries a stress of
+ground that gravity alone would cause, and at most stops it. Cohesive material holds together, so that it moves as a
+rigid body rather than by the displacement v_b of single columns: v_r is the rigid motion U + omega x r nearest to v_b
+by least squares, with volume times strength as weights; it has the same momentum and the same angular momentum. On the
+background grid, shearing sand carries a stress of
 its strength along its rate of strain (von Mises' flow rule, e.g. Jop, Forterre & Pouliquen, Nature 441, 2006, eq. 2,
 without rate dependence), besides the pressure p = rho g h of the column above:
 
@@ -26,6 +30,7 @@ with the deviatoric rate of strain D' [1 per step]. On such coarse cells both ar
 | v      | `velocity`                        | newest displacement [m per step]                   |
 | v0     | `slow`                            | displacement below which the direction fades       |
 | g_n    | `normal`                          | gravity against the floor                          |
+| g_t    | `fall` along it                   | gravity along the floor or the ground              |
 | h      | `above`                           | height of the column above [m]                     |
 | d0     | `slow` over the cell              | rate of strain below which the shear fades         |
 """
@@ -42,7 +47,7 @@ from gns.surroundings.grid import CHANNELS, REFERENCE_HEIGHT, Stencil, stencil_o
 from gns.surroundings.solids import Below, solid_features, upward
 from gns.surroundings.state import Conditions, State, computed
 
-FORCES = ("basal friction", "traction", "damping", "shear", "pressure")  # for which the network gives coefficients
+FORCES = ("basal friction", "traction", "damping", "shear", "pressure", "cohesion")  # the network gives coefficients
 SLOW = 0.1  # displacement over the root mean square one below which the direction of motion fades [-]
 ROUNDED = 0.1  # change of the motion over `slow` below which its size is rounded: a kink has no useful derivative [-]
 EMPTY = 0.05  # filled share of a cell below which the mean of its content fades [-]
@@ -126,7 +131,8 @@ class Moment:
     @property
     def forces(self) -> Tensor:
         """`FORCES` over the weight of the particles [-], shape [N, K, D]."""
-        return torch.stack((self.basal, self.traction, self.damped, *self.internal.chunk(2, dim=1)), dim=1)
+        shear, pressure = self.internal.chunk(2, dim=1)
+        return torch.stack((self.basal, self.traction, self.damped, shear, pressure, self.together), dim=1)
 
     @cached_property
     def traction(self) -> Tensor:
@@ -158,16 +164,22 @@ class Moment:
         return self.damping * size / self.fall
 
     @cached_property
+    def upwards(self) -> Tensor:
+        """Normal of the floor or of the ground below each particle, shape [N or 1, D]."""
+        if self.conditions.ground is not None and self.settings.bed_friction:
+            return upward(self.below.value_and_slope(self.conditions.ground.elevation)[1])
+        upwards = torch.zeros_like(self.velocity[:1])
+        upwards[:, UP] = 1.0
+        return upwards
+
+    @cached_property
     def basal(self) -> Tensor:
         """Basal friction [-], shape [N, D]; along a ground with its own friction and Voellmy's turbulence."""
-        conditions, velocity = self.conditions, self.velocity
+        conditions, velocity, upwards = self.conditions, self.velocity, self.upwards
         gravity = conditions.of_particles(conditions.gravity) * self.settings.step**2
         trial, friction = velocity + gravity, self.bed
-        upwards = torch.zeros_like(velocity[:1])
-        upwards[:, UP] = 1.0
         if conditions.ground is not None and self.settings.bed_friction:
             friction = friction + self.turbulence
-            upwards = upward(self.below.value_and_slope(conditions.ground.elevation)[1])
         trial = trial - (trial * upwards).sum(dim=1, keepdim=True) * upwards
         normal = -(gravity * upwards).sum(dim=1)
         most = (torch.minimum(friction, conditions.friction) * normal.clamp(min=0.0)).unsqueeze(1)
@@ -180,6 +192,19 @@ class Moment:
         """Cohesion against the weight of the column above [-], shape [N, 1]."""
         ratio = self.conditions.cohesion / (self.weight * (REFERENCE_HEIGHT * self.column[:, 1] + self.settings.cell))
         return (ratio / (1.0 + ratio)).unsqueeze(1)
+
+    @cached_property
+    def together(self) -> Tensor:
+        """What keeps cohesive material together [-], shape [N, D]; 0 without cohesion."""
+        conditions, x = self.conditions, self.state.positions
+        if not bool((conditions.cohesion > 0.0).any()):
+            return torch.zeros_like(x)
+        gravity = conditions.of_particles(conditions.gravity) / GRAVITY
+        along = gravity - (gravity * self.upwards).sum(dim=1, keepdim=True) * self.upwards
+        weight = conditions.volume.unsqueeze(1) * self.strength
+        moved = self.velocity + self.fall * (along + self.basal)
+        apart = from_rigid(x, moved, weight, conditions, self.settings.cell)
+        return LARGEST * torch.tanh(self.strength * apart / (LARGEST * self.fall))
 
     @cached_property
     def internal(self) -> Tensor:
@@ -241,6 +266,26 @@ class Moment:
     def unit(self, vectors: Tensor) -> Tensor:
         """Directions of vectors [..., D]; they fade for vectors shorter than `slow`."""
         return vectors / (vectors.square().sum(dim=-1, keepdim=True) + self.slow**2).sqrt()
+
+
+def from_rigid(x: Tensor, v: Tensor, weight: Tensor, conditions: Conditions, cell: float) -> Tensor:
+    """v_r - v, with v_r = U + omega x r nearest to v in each sample; x, v: [N, D]; weight: [N, 1]; cell: the size of
+    the smallest body that turns [m].
+
+        sum w r x v = I omega,    I = sum w (|r|^2 + cell^2 - r r^T),    r = x - <x>    (Goldstein 2002, section 5.3)
+    """
+    least = torch.finfo(x.dtype).tiny  # samples without cohesion have no weight
+    weight = weight / conditions.of_particles(conditions.total(weight).clamp(min=least))
+    x, v = (values - conditions.of_particles(conditions.total(weight * values)) for values in (x, v))
+    square = conditions.total(weight * x.square().sum(dim=1, keepdim=True)) + cell**2
+    if x.shape[1] == 2:
+        moment = conditions.total(weight * (x[:, :1] * v[:, 1:] - x[:, 1:] * v[:, :1]))
+        spin = conditions.of_particles(moment / square)
+        return torch.cat((-spin * x[:, 1:], spin * x[:, :1]), dim=1) - v
+    products = conditions.total(weight * (x.unsqueeze(2) * x.unsqueeze(1)).flatten(1)).view(-1, 3, 3)
+    inertia = square.unsqueeze(2) * torch.eye(3).to(x) - products
+    spin = torch.linalg.solve(inertia, conditions.total(weight * torch.linalg.cross(x, v)))
+    return torch.linalg.cross(conditions.of_particles(spin).expand_as(x), x) - v
 
 
 def inclination(slope: Tensor, gravity: Tensor) -> Tensor:
