@@ -44,7 +44,8 @@ def command(
     of jobs.
 
     Args:
-        definition: flow2d, columns2d, obstacle3d, baffles3d, terrain3d, paper2d, paper3d, or the path of a TOML file.
+        definition: flow2d, columns2d, obstacle3d, baffles3d, terrain3d, cohesive3d, paper2d, paper3d, or the path of a
+            TOML file.
         out: Folder of the dataset: train, valid, test, metadata.json.
         count: Number of trajectories, the first ones of the definition; all unless given.
         seed: Seed of the dataset.

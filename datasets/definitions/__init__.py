@@ -6,7 +6,7 @@ from datasets.definitions.definition import Definition
 from datasets.definitions.distributions import definition_from_file
 from datasets.errors import InputError
 
-FAMILIES = ("flow2d", "columns2d", "obstacle3d", "baffles3d", "terrain3d")
+FAMILIES = ("flow2d", "columns2d", "obstacle3d", "baffles3d", "terrain3d", "cohesive3d")
 NAMES = (*FAMILIES, "paper2d", "paper3d")  # of the shipped definitions
 
 

@@ -191,7 +191,7 @@ def test_every_model_that_ships_has_a_card(weights: Path) -> None:
 @pytest.mark.parametrize("name", FAMILIES)
 def test_scenes_of_a_definition_are_within_the_shipped_card(name: str) -> None:
     """Its distributions are those of the flows that the weights saw; a rare one reaches farther than all of these."""
-    learned = "flow2d" if name.endswith("2d") else "terrain3d" if name == "terrain3d" else "obstacle3d"
+    learned = "flow2d" if name.endswith("2d") else "terrain3d" if name in ("terrain3d", "cohesive3d") else "obstacle3d"
     ranges = card.read(model_path(learned)).ranges
     beyond = [outside(entry.scene, ranges) for entry in read_definition(name).entries(seed=1, count=100)]
     assert sum(map(bool, beyond)) <= 6

@@ -129,7 +129,7 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["flow3d"], "one of flow2d, columns2d, obstacle3d, baffles3d, terrain3d, paper2d, paper3d"),
+        (["flow3d"], "one of flow2d, columns2d, obstacle3d, baffles3d, terrain3d, cohesive3d, paper2d, paper3d"),
         (["absent.toml"], "absent.toml: expected a TOML file"),
         (["flow2d", "--jobs", "2", "--scheduler", "tcp://localhost:1"], "expected none with --scheduler"),
         (["paper3d", "--count", "1001"], "1 to 1000"),

@@ -54,6 +54,7 @@ DRAWN = {
     "obstacle3d": "d42b8c509573d962",
     "baffles3d": "f9959c593b5daeb9",
     "terrain3d": "003c0550b1d3a74d",
+    "cohesive3d": "ca675c8b50b4b276",
     "paper2d": "1b8d1079627b217c",
     "paper3d": "c62981929dceb48a",
 }
