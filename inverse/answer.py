@@ -22,6 +22,7 @@ from inverse.search.waves import ModelRun
 MAX_NUMBERS = 100  # longest observation in files: a whole deposit would add thousands of numbers per iteration
 IDENTIFIABLE = 0.3  # largest half-width, over the range, of an identifiable combination of parameters
 UNIFORM = 0.475  # half-width of a uniform prior, over the range
+CLOSE = 0.35  # largest distance between an answer and its checks, in half-widths
 
 
 class Verdict(StrEnum):
@@ -78,6 +79,7 @@ class Answer:
     interval: Values  # quantiles of 2.5 and 97.5 % within the bounds, shape [2, U]
     weight: float = 1.0  # share of the posterior
     checks: tuple[MpmRun, ...] = ()
+    carried: Values | None = None  # change of the observation from the checks to the answer, by the emulator, shape [M]
     fit: Fit | None = None  # of the checks to the target; None without MPM runs
 
     @property
@@ -90,9 +92,22 @@ class Answer:
         return np.asarray((self.interval[0] <= values) & (values <= self.interval[1]))
 
     @property
-    def observation(self) -> Values:
+    def checked(self) -> Values:
         """Mean of the checks, shape [M]."""
         return np.asarray(np.mean([run.numbers for run in self.checks], axis=0))
+
+    @property
+    def observation(self) -> Values:
+        """The same, carried over to the answer, shape [M]."""
+        return self.checked if self.carried is None else self.checked + self.carried
+
+    @property
+    def near(self) -> bool:
+        """Whether the flows of the checks, if any, are those of the answer: their parameters are close to it."""
+        if self.carried is None or not self.checks:
+            return True
+        off = np.abs(self.checks[0].parameters - self.parameters)
+        return bool((off <= CLOSE * self.half_widths).all())
 
     @property
     def confirmed(self) -> bool:

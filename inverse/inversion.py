@@ -5,7 +5,7 @@ import time
 from functools import partial
 from pathlib import Path
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.files import make_folder
 from gns import card, checkpoint
 from gns.library import model_path, shipped
@@ -14,7 +14,7 @@ from inverse.forward.gns import GnsForward, band_of, require_predicted
 from inverse.forward.mpm import MpmForward
 from inverse.observations.observation import recording
 from inverse.observations.target import Target
-from inverse.problem import Problem
+from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.saving import save
 from inverse.search.descent import ROUGH, inverted
@@ -25,17 +25,27 @@ from mpm import simulate, simulate_many
 
 
 def invert(
-    problem: Problem, *, forward: ForwardModel | None = None, model: Path | None = None, out: Path | str | None = None
+    problem: Problem | str | Path,
+    *,
+    forward: ForwardModel | str | None = None,
+    model: Path | None = None,
+    out: Path | str | None = None,
 ) -> Result:
-    """Find the parameters of `problem` with one forward model; `validation.solve` checks the answer by the MPM.
+    """Find the parameters of a problem, or of the one in a file or of a shipped name, with one forward model;
+    `validation.solve` checks the answer by the MPM.
 
     >>> from inverse import invert, read_problem
     >>> result = invert(read_problem("friction-tall-42"))
     >>> result.unknowns, result.interval
 
-    forward: by default the surrogate, unless the problem says "none"; model: weights, by default the shipped ones;
-    out: folder for `result.json`, `report.md` and pictures. Fields are found with the MPM's adjoint, together with
-    their posterior. Raises InputError for an unsupported combination, and WorkFailed if a run blows up."""
+    forward: "gns", "mpm" or "adjoint", by default the surrogate, unless the problem says "none"; model: weights, by
+    default the shipped ones; out: folder for `result.json`, `report.md` and pictures. Fields are found with the MPM's
+    adjoint, together with their posterior. Raises InputError for an unsupported combination, and WorkFailed if a run
+    blows up."""
+    problem = problem if isinstance(problem, Problem) else read_problem(problem)
+    names = [*map(str, ForwardModel)]
+    require(forward is None or forward in names, "forward", f"one of {', '.join(names)}", repr(forward))
+    forward = None if forward is None else ForwardModel(forward)
     _ = problem.operators
     if out is not None:
         make_folder(Path(out))

@@ -21,6 +21,7 @@ from datasets.scene.particles import released_volume
 from datasets.schema import Record, from_mapping, one_of
 from inverse.observations import KINDS, Observation, ObservationSettings
 from inverse.observations.errors import Student
+from inverse.observations.observation import Between
 from inverse.observations.settings import FILES
 from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, check_parameters, check_scene, with_kinds, with_parameters
@@ -224,13 +225,16 @@ class Problem(ProblemKeys):
         first = max(self.seeds[-1], self.target.seed) + 1
         return range(first, first + self.optimiser.ensemble)
 
-    @property
-    def released(self) -> float | None:
-        """Volume of the masses over the width [m^2], in 2D their area; None if it depends on an unknown."""
-        fields = any(parameter.is_field and parameter.quantity == THICKNESS for parameter in self.parameters)
-        if fields or any(kind.changes_volume for kind in self.kinds):
-            return None
-        return released_volume(self.scene) / math.prod(self.scene.domain.size[2:])
+    @cached_property
+    def released(self) -> Between:
+        """Least and greatest volume of the masses over the width [m^2], in 2D their area, within the bounds."""
+        if any(parameter.is_field and parameter.quantity == THICKNESS for parameter in self.parameters):
+            return 0.0, math.inf
+        scenes = [self.scene] * 2
+        if any(kind.changes_volume for kind in self.kinds):
+            scenes = [with_kinds(self.scene, self.kinds, ends) for ends in (self.box.lower, self.box.upper)]
+        least, most = (released_volume(scene) / math.prod(scene.domain.size[2:]) for scene in scenes)
+        return least, most
 
     def _check_observations(self) -> None:
         """Raise InputError for observations that a flow of the scene does not have, or that cannot be combined."""

@@ -15,12 +15,13 @@ from inverse.fields.posterior import IDENTIFIED, FieldPosterior
 from inverse.noise import CONFIDENCE
 from inverse.observations.target import ALL_DATA
 from inverse.parameters import Parameter, changed_material
-from inverse.residuals import outlying, residuals
+from inverse.residuals import outlying, places_of, residuals
 from inverse.result import Result
 
 NAMED = 4  # with more unknowns the conclusion gives the range of their half-widths, and tables omit them
 MAIN = 0.3  # a combination names those of its `NAMED` heaviest parameters with this share of the largest weight or more
 SUGGESTED = 3  # number of measurements, and of identifiable combinations, that the conclusion names
+FACTOR = 30.0  # ratio of an observation to those of all runs beyond which the report asks for its unit
 DECISIVE = 0.2  # least information [nat] of a measurement in the conclusion: the noise of few runs can feign less
 LARGER, FINEST = 1.5, 8.0
 """Error of the cells over the noise above which the report advises finer cells, and up to which it gives their size."""
@@ -44,7 +45,9 @@ def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
     parts += ["## Comparison with the target", comparison(result), shown("deposit.png", "deposits")]
     if fits := residuals(result):
         listed, picture = markdown_table([row for fit in fits for row in fit.rows]), "the fit over time or place"
-        parts += ["## The fit, number by number", outlying(fits), listed, shown("fit.png", picture)]
+        first = result.answers[0].fit
+        said = outlying(fits, len(first.outliers) if first else 0)
+        parts += ["## The fit, number by number", said, listed, shown("fit.png", picture)]
     if result.without:
         parts += ["## Which data matter", data_that_matter(result)]
     if notes := uncertainty(result):
@@ -60,9 +63,10 @@ def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
 def conclusion(result: Result) -> list[str]:
     """The main sentences: verdict, parameters, identifiability, decisive measurements, truth and fit, cost."""
     runs = f"{result.run_count} MPM runs, " if result.forward == "MPM" else ""
+    where = "At the answer" if result.answers[0].near else "In the runs that check the answer"
     sentences = [first_found(result), verdict(result), numbers(result), angles(result)]
     sentences += [f"`{field.name}`: {identified(field)}" for field in result.fields]
-    sentences += [equifinality(result), quality(result), *(f"At the answer: {remark}." for remark in result.remarks)]
+    sentences += [equifinality(result), quality(result), *(f"{where}: {remark}." for remark in result.remarks)]
     return [line for line in (*sentences, f"Cost: {runs}{result.seconds['total']:.1f} s in all.") if line]
 
 
@@ -188,11 +192,22 @@ def quality(result: Result) -> str:
         wider = f"noise and scatter count {times}" if fit.spared else f"the intervals are {times} as wide"
         parts.append(f"the fit is {times} worse than noise, scatter and cells explain, so {wider}")
     if fit is not None and fit.outliers:
-        values, by_name = result.target.values, result.target.observation.parts
-        names = [f"{part.name} {n + 1}" for part in by_name for n in range(len(values[part.numbers]))]
+        names = [name for part in result.target.observation.parts for name in places_of(part)]
         listed = ", ".join(f"{names[index]} ({off:+.1f})" for index, off in fit.outliers.items())
         parts.append(f"outliers, in standard deviations from what all other numbers predict: {listed}")
-    return sentence(parts)
+    return sentence([*parts, *other_units(result)])
+
+
+def other_units(result: Result) -> list[str]:
+    """Observations that are far smaller, or far larger, than in any run."""
+    said = []
+    for part in result.target.observation.parts if result.mpm_runs else ():
+        observed = rms(result.target.values[part.numbers])
+        shown = [rms(run.numbers[part.numbers]) for run in result.mpm_runs]
+        if observed * FACTOR < min(shown) or observed > FACTOR * max(shown):
+            times = observed / np.median(shown)
+            said.append(f"check the unit of {part.name}: it is {times:.1g} times that of the MPM runs")
+    return said
 
 
 def sentence(parts: Sequence[str]) -> str:
@@ -282,9 +297,10 @@ def identified(field: FieldPosterior) -> str:
     if field.unknown.zones is not None:
         numbers = field.unknown.zones.numbers[field.identified]
         where = f"of the zones {', '.join(f'{number:g}' for number in numbers)}"
+    rest = "; the prior determines the other values more than the observation does" if share < 1.0 else ""
     return (
         f"The observation removes more than {100.0 * IDENTIFIED:.0f} % of the prior variance for {100.0 * share:.0f} % "
-        f"of the values, {where}; the prior determines the other values more than the observation does."
+        f"of the values, {where}{rest}."
     )
 
 

@@ -39,10 +39,8 @@ class Residuals:
     @property
     def outliers(self) -> list[str]:
         """The numbers whose standardised residual exceeds `OUTLIER`, in words."""
-        label, places = self.part.observation.places
-        name, _, unit = label.rstrip("]").partition(" [")
-        beyond = [pair for pair in zip(places, self.standardised, strict=True) if abs(pair[1]) > OUTLIER]
-        return [f"{self.part.name} at {name} {place:.4g} {unit}".rstrip() + f" ({off:+.1f})" for place, off in beyond]
+        every = zip(places_of(self.part), self.standardised, strict=True)
+        return [f"{place} ({off:+.1f})" for place, off in every if abs(off) > OUTLIER]
 
     @property
     def rows(self) -> list[dict[str, str]]:
@@ -58,6 +56,14 @@ class Residuals:
             row["95 % band"] = f"{self.lower[n]:.4g} to {self.upper[n]:.4g}"
             rows.append(row | {"standardised residual": f"{self.standardised[n]:+.2f}"})
         return rows
+
+
+def places_of(part: JointPart) -> list[str]:
+    """The numbers of an observation, in words."""
+    label, places = part.observation.places
+    name, _, unit = label.rstrip("]").partition(" [")
+    at = "" if name == "number" else f" at {name}"
+    return [f"{part.name}{at} {place:.4g} {unit}".rstrip(" -") for place in places]
 
 
 def residuals(result: Result) -> list[Residuals]:
@@ -83,7 +89,10 @@ def unmeasured(posterior: Posterior, points: Matrix) -> Values:
     return np.asarray(within / reduction.weights**2 + reduction.remainder**2)
 
 
-def outlying(fits: Sequence[Residuals]) -> str:
+def outlying(fits: Sequence[Residuals], found: int = 0) -> str:
+    """A sentence on the numbers that are far off; found: the number of outliers whose noise counts more already."""
     named = [name for fit in fits for name in fit.outliers]
     which = f"off by more than {OUTLIER:g} standard deviations of noise and prediction together"
+    if found and not named:
+        return f"With the errors that the outlier{'s' if found > 1 else ''} enlarged, no number is {which}."
     return f"Outliers, {which}: {'; '.join(named)}." if named else f"No number is {which}."

@@ -104,10 +104,10 @@ class Result:
 
     @property
     def error_pct(self) -> dict[str, float]:
-        """Known relative errors: of each number in a twin experiment, and of the front if the MPM ran."""
+        """Known relative errors: of each number in a twin experiment, and of the front if the MPM ran at the answer."""
         truth, values = self.target.truth or {}, self.problem.named(self.answer)
         errors = {name: 100.0 * abs(values[name] - true) / abs(true) for name, true in truth.items() if true != 0.0}
-        if self.answers[0].checks and math.isfinite(self.target.front):
+        if self.answers[0].checks and self.answers[0].near and math.isfinite(self.target.front):
             off = [self.target.front_error(check.trajectory) for check in self.answers[0].checks]
             errors["front"] = 100.0 * abs(float(np.mean(off)))
         return errors
@@ -123,10 +123,16 @@ class Result:
 
     @property
     def remarks(self) -> list[str]:
-        """Caveats on the flow at the first answer (`mpm.output.outcome.caveats`), and whether it drains."""
-        checks = self.answers[0].checks
-        summary = checks[0].trajectory.summary if checks else {}
-        return [*summary.get("remarks", []), *filter(None, [summary.get("drainage")])]
+        """Caveats on the flow that checks the first answer (`mpm.output.outcome.caveats`), whether it drains, and where
+        it lies if that is not at the answer."""
+        answer = self.answers[0]
+        if not answer.checks:
+            return []
+        summary, checked = answer.checks[0].trajectory.summary, answer.checks[0].parameters
+        at = zip(self.problem.numbers, checked.tolist(), strict=True)
+        place = ", ".join(f"{number.name} = {number.kind.text(value)}" for number, value in at)
+        far = [] if answer.near else [f"they are at {place}"]
+        return [*far, *summary.get("remarks", []), *filter(None, [summary.get("drainage")])]
 
     @property
     def scene(self) -> Scene:

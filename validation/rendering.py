@@ -112,7 +112,7 @@ def add_solids(plotter: Any, meshes: Meshes, corners: Floats) -> None:
         box[:, 2] = -1.0, 1.0
         parts = []
         for solid, key in zip(*solids_of(scene), strict=True):
-            ring = spatial(body_of(solid, key, scene.domain).vertices)
+            ring = spatial(body_of(solid, key, scene.domain, continues=False).vertices)
             parts.append(pyvista.PolyData(ring, [len(ring), *range(len(ring))]).triangulate())
         solids = [(part, number < count) for number, part in enumerate(parts)]
     else:

@@ -27,12 +27,18 @@ def source_of(path: Path) -> tuple[Path, str, dict[str, Any]]:
         checks = [mpm_run for mpm_run in runs if mpm_run["purpose"] == "check"] or runs
         if not checks:
             raise InputError("expected a run of the MPM, this result has none", key="mpm_runs")
-        # Prefer a run at the first answer.
-        best = min(checks, key=lambda mpm_run: (mpm_run["unknowns"] != record["unknowns"], mpm_run["loss"] or 0.0))
+        widths = {name: float(width) or 1.0 for name, width in record["certainty"].items()}
+
+        def away(mpm_run: dict[str, Any]) -> float:
+            """Largest distance from the answer, in half-widths."""
+            numbers = mpm_run["unknowns"].items()
+            return max(float(abs(value - record["unknowns"][name])) / widths[name] for name, value in numbers)
+
+        best = min(checks, key=away)
         seen = record["observation"]
         profile = {key: [float(value) for value in seen.get("profile", {}).get(key, ())] for key in ("x", "height")}
         front = None if seen.get("front") is None else float(seen["front"])
-        return path / str(best["file"]), "MPM at the answer", {"front": front, **profile}
+        return path / str(best["file"]), "MPM nearest to the answer", {"front": front, **profile}
 
 
 def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None) -> None:

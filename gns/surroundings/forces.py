@@ -285,7 +285,7 @@ def from_rigid(x: Tensor, v: Tensor, weight: Tensor, conditions: Conditions, cel
     products = conditions.total(weight * (x.unsqueeze(2) * x.unsqueeze(1)).flatten(1)).view(-1, 3, 3)
     inertia = square.unsqueeze(2) * torch.eye(3).to(x) - products
     spin = torch.linalg.solve(inertia, conditions.total(weight * torch.linalg.cross(x, v)))
-    return torch.linalg.cross(conditions.of_particles(spin).expand_as(x), x) - v
+    return torch.as_tensor(torch.linalg.cross(conditions.of_particles(spin).expand_as(x), x) - v)
 
 
 def inclination(slope: Tensor, gravity: Tensor) -> Tensor:

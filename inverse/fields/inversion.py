@@ -107,6 +107,9 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
     if posterior.promised > LEFT and "confirmed" not in outcome.surrogate and lead is not None:
         ended = f"The MPM runs ended where derivatives promise a further {decrease}"
         notes.append(f"{ended}; the widths include the errors of the derivatives.")
+    elif posterior.cut:
+        ended = f"The search ended after `optimiser.max_iterations` = {problem.optimiser.max_iterations}"
+        notes.append(f"**{ended}, where its derivatives promise a further {decrease}: give it more iterations.**")
     elif posterior.promised > LEFT:
         ended = f"The search ended where its derivatives promise a {decrease} that no step achieved"
         doubt = "the fields are less certain than their widths show. More `optimiser.seeds` make derivatives smoother."

@@ -28,6 +28,7 @@ class Gaussian:
     jacobian: Floats  # G of the relevant combinations of the numbers, shape [r, W]
     promised: float  # decrease of J by another step if the numbers were linear
     combinations: Floats  # these combinations of the numbers, shape [r, M]
+    cut: bool = False  # whether the largest number of iterations ended the search
 
     @cached_property
     def decomposition(self) -> tuple[Floats, Floats]:
@@ -117,8 +118,10 @@ class Objective:
             proposed = linear_mean(jacobian, white, residual)
             promised = gain(jacobian, residual, white, proposed - white)
             posterior, step = Gaussian(white, jacobian, promised, self.combinations), 1.0
-            if min(promised, decrease) < enough or len(self.iterates) - first >= iterations:
+            if min(promised, decrease) < enough:
                 return posterior
+            if len(self.iterates) - first >= iterations:
+                return replace(posterior, cut=True)
             while True:
                 if len(self.missed) >= runs:
                     return posterior

@@ -21,6 +21,7 @@ from datasets.geometry.surface import closed_body, solids_of
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from inverse.observations.errors import Noise
+from inverse.observations.observation import Between
 
 
 class Heights(StrEnum):
@@ -97,12 +98,10 @@ class MeasuredProfile:
         return math.sqrt(square) if chi2.sf(square * freedom, freedom) < RARE else 1.0
 
 
-def checked_profile(
-    x: Floats, height: Floats, scene: Scene, heights: Heights, released: float | None
-) -> MeasuredProfile:
-    """The profile of rows [m], both of shape [R]; its area is compared with the released one if that is known. With
-    gaps (NaN) or an end at a solid, the known area may be smaller. Raises InputError for rows that form no profile, lie
-    outside the box, end within the deposit or have another area."""
+def checked_profile(x: Floats, height: Floats, scene: Scene, heights: Heights, released: Between) -> MeasuredProfile:
+    """The profile of rows [m], both of shape [R]; its area is compared with the `released` one [m^2]. With gaps (NaN)
+    or an end at a solid, the known area may be smaller. Raises InputError for rows that form no profile, lie outside
+    the box, end within the deposit or have another area."""
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(height))
     require(len(rows) > 1, "", "at least two rows with an x and a height", len(rows))
     x, height, gaps = x[rows], height[rows], np.diff(rows) > 1
@@ -114,17 +113,20 @@ def checked_profile(
         height = height - elevation(scene.solids, scene.domain, x[:, None])
     got = "datum is the floor's in the file"
     require(height.max() > 0.0, "", "a height above the floor", f"none; {got}")
+    tall = scene.domain.size[1]
+    require(height.max() <= tall, "", f"heights up to that of the box, {tall:g} m", f"{height.max():.4g} m; check unit")
     least = height.min()
     require(least >= -BELOW * height.max(), "", "heights above the floor", f"{least:g} m; {got}")
     profile = closed(x, np.maximum(height, 0.0), gaps, scene)
-    if released is not None:
-        pieces = 0.5 * (profile.height[1:] + profile.height[:-1]) * np.diff(profile.x)
-        area = float(pieces.sum() if profile.gaps is None else pieces[~profile.gaps].sum())
-        low, high = AREA[heights]
-        low = low if profile.gaps is None and profile.ends is None else 0.0
-        expected = f"{low:g} to {high:g} times the area that was released, {released:.4g} m^2, for {heights} heights"
-        got = f"{area:.4g} m^2, {area / released:.3g} times; check unit, datum and heights"
-        require(low * released <= area <= high * released, "", expected, got)
+    pieces = 0.5 * (profile.height[1:] + profile.height[:-1]) * np.diff(profile.x)
+    area = float(pieces.sum() if profile.gaps is None else pieces[~profile.gaps].sum())
+    low, high = AREA[heights]
+    low = low if profile.gaps is None and profile.ends is None else 0.0
+    (least, most), known = released, released[0] == released[1]
+    which = f"{least:.4g} m^2" if known else f"{least:.4g} to {most:.4g} m^2 within the bounds"
+    expected = f"{low:g} to {high:g} times the area that was released, {which}, for {heights} heights"
+    got = f"{area:.4g} m^2{f', {area / least:.3g} times' if known else ''}; check unit, datum and heights"
+    require(low * least <= area <= high * most, "", expected, got)
     return profile
 
 

@@ -22,6 +22,7 @@ from datasets.scene import Scene
 from mpm.output.recording import Recording
 
 Values = NDArray[np.float64]  # an observation: M numbers in their unit, shape [M]
+Between = tuple[float, float]  # the least and the greatest value
 
 LONG = 1.0e4  # numbers of at least this are written without decimals
 SCATTER_CELLS = 0.25  # standard deviation of a length from flow to flow, before an ensemble has measured it, in cells

@@ -27,7 +27,7 @@ from datasets.scene.grid_field import Floats
 from datasets.scene.particles import mass_centroids, mass_volumes
 from datasets.scene.parts import Length
 from inverse.observations.errors import Covariance, Noise
-from inverse.observations.observation import Observation, SmoothObservation, Values, fitted_tail
+from inverse.observations.observation import Between, Observation, SmoothObservation, Values, fitted_tail
 from inverse.observations.plan import plan_grid, plan_sides, volume_over
 from inverse.observations.settings import LengthsSettings
 from inverse.observations.target import Target
@@ -146,7 +146,7 @@ class OutlineSettings(LengthsSettings):
         # For a twin, whose outline is not known yet.
         return Boundary(scene, shapely.box(0.0, 0.0, *plan_sides(scene)), self.thickness)
 
-    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+    def read(self, scene: Scene, folder: Path, released: Between) -> Target:
         if self.values is not None:
             return super().read(scene, folder, released)
         box = shapely.box(0.0, 0.0, *plan_sides(scene))

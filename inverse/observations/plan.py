@@ -35,7 +35,7 @@ from datasets.scene import Scene
 from datasets.scene.grid_field import Floats, Grid
 from datasets.scene.parts import Length
 from inverse.observations.errors import Covariance, Noise
-from inverse.observations.observation import SCATTER_CELLS, Rollout, SmoothObservation, Values
+from inverse.observations.observation import SCATTER_CELLS, Between, Rollout, SmoothObservation, Values
 from inverse.observations.settings import ObservationSettings
 from inverse.observations.target import Target
 
@@ -164,7 +164,7 @@ class ThicknessSettings(ObservationSettings):
             parts = (max(1, int(grid.spacing[0] / edge)), max(1, int(grid.spacing[1] / edge)))
         return Thickness(scene, self, Blocks(grid, parts))
 
-    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+    def read(self, scene: Scene, folder: Path, released: Between) -> Target:
         plan_sides(scene)
         path, (corner, crs), direction = folder / str(self.file), map_corner(scene), self.direction
         with naming(path):
@@ -180,9 +180,9 @@ class ThicknessSettings(ObservationSettings):
                 direction = direction or mapped
                 cut, values = in_blocks(raster, corner, scene)
             grid = cut.grid
-            if released is not None and not self.peak:
+            if not self.peak:
                 volume = float(np.nansum(values / factors(scene, grid, direction)) * math.prod(grid.spacing))
-                most = TOO_MUCH * released * scene.domain.size[2]
+                most = TOO_MUCH * released[1] * scene.domain.size[2]
                 expected = f"a volume of at most {most:.4g} m^3, twice the released one"
                 require(volume <= most, "", expected, f"{volume:.4g}")
             return replace(self, direction=direction).measured(scene, cut, values)

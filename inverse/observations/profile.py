@@ -26,7 +26,7 @@ from datasets.scene import Scene
 from datasets.scene.particles import particle_volumes
 from inverse.observations.errors import Covariance, Noise
 from inverse.observations.measured_profile import Heights, MeasuredProfile, checked_profile
-from inverse.observations.observation import Observation, Values, at_times
+from inverse.observations.observation import Between, Observation, Values, at_times
 from inverse.observations.settings import LengthsSettings
 from inverse.observations.target import Target
 
@@ -156,7 +156,7 @@ class ProfileSettings(LengthsSettings):
         kind = Profile if self.heights is Heights.EQUIVALENT else SurfaceProfile
         return kind(scene, self, rows, ends)
 
-    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+    def read(self, scene: Scene, folder: Path, released: Between) -> Target:
         path = folder / str(self.csv)
         x, height = self.table(path, ("x", "height")).values()
         corner = scene.domain.corner

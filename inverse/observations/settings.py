@@ -15,7 +15,7 @@ from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.schema import Record
 from inverse.observations.errors import Covariance, Noise, StatedNoise, Student
-from inverse.observations.observation import Observation, Values
+from inverse.observations.observation import Between, Observation, Values
 from inverse.observations.target import Target
 
 FILES = ("csv", "file")
@@ -102,9 +102,9 @@ class ObservationSettings(Record):
             said = f"a noise of {noise:g} is more than {than}"
             warnings.warn(f'{self.name or self.kind}: {said}; a percentage is written "{noise:g}%"', stacklevel=3)
 
-    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+    def read(self, scene: Scene, folder: Path, released: Between) -> Target:
         """The target of the measured numbers. Raises InputError, which names the key or the table.
-        folder: of relative paths; released: volume of the masses over the width [m^2], None if it is not known."""
+        folder: of relative paths; released: volume of the masses over the width [m^2] within the bounds."""
         operator = self.operator(scene)
         return self.compared(operator, self.stated(operator))
 
@@ -142,7 +142,7 @@ class TabulatedSettings(ObservationSettings):
         factors = {name: 1.0 if name in spreadsheet.UNITS else self.metres for name in table}
         return {name: table[name] * factors[name] for name in (*needed, *optional) if name in table}
 
-    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+    def read(self, scene: Scene, folder: Path, released: Between) -> Target:
         if self.csv is None:
             return super().read(scene, folder, released)
         path = folder / self.csv

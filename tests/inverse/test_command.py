@@ -16,6 +16,7 @@ from inverse.forward.mpm import MpmForward
 from inverse.inversion import of_numbers
 from inverse.observations import ToeSettings
 from tests.inverse.flows import simulator_of
+from tests.refusals import refused
 from tests.validation.loop.flows import wedge
 
 SCENE = """
@@ -101,6 +102,7 @@ def test_a_problem_built_in_python(tmp_path: Path) -> None:
         observations=(ToeSettings(values=(0.12, 0.01)),),
         optimiser=read.optimiser,
     )
-    results = [invert(case, model=weights) for case in (read, built)]
-    assert results[0].unknowns == results[1].unknowns
+    results = [invert(case, forward="gns", model=weights) for case in (read, built, str(problem))]
+    assert results[0].unknowns == results[1].unknowns == results[2].unknowns
+    refused(invert, read, forward="mmp", said="forward: expected one of gns, mpm, adjoint, got 'mmp'")
     assert results[0].unknowns != dict(zip(read.names, read.initial, strict=True))

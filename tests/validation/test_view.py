@@ -24,16 +24,17 @@ def test_a_run_and_one_over_it(tmp_path: Path) -> None:
 
 
 def test_an_inversion_shows_its_answer_over_what_was_observed(tmp_path: Path) -> None:
-    purposes = (("check", 2.0), ("check", 1.0), ("wave", 0.0))
-    runs = [{"purpose": p, "unknowns": {"a": 1.0}, "loss": loss, "file": f"mpm/{loss}.npz"} for p, loss in purposes]
+    purposes = (("check", 1.3), ("check", 1.0), ("wave", 0.9))
+    runs = [{"purpose": p, "unknowns": {"a": value}, "file": f"mpm/{value}.npz"} for p, value in purposes]
     profile = {"x": [0.0, 0.5], "height": [0.1, 0.0]}
-    result = {"unknowns": {"a": 1.0}, "mpm_runs": runs, "observation": {"front": 0.25, "profile": profile}}
+    found = {"unknowns": {"a": 0.95}, "certainty": {"a": 0.2}}
+    result = found | {"mpm_runs": runs, "observation": {"front": 0.25, "profile": profile}}
     (tmp_path / "result.json").write_text(json.dumps(result))
     toy(2).save(tmp_path / "mpm" / "1.0.npz")
     toy(2, seed=1).save(tmp_path / "mpm" / "target-01-abc.npz")
     assert run(command, "view", [str(tmp_path)]) == 0
     head = parts(tmp_path / "view.html")[0]
-    assert [entry["label"] for entry in head["runs"]] == ["MPM at the answer", "observed"]
+    assert [entry["label"] for entry in head["runs"]] == ["MPM nearest to the answer", "observed"]
     assert head["observed"] == {"front": 0.25, **profile}
 
 

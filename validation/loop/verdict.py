@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from datasets.errors import InputError
 from datasets.scene import Mass, Scene
-from inverse.answer import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
+from inverse.answer import CLOSE, IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
 from inverse.parameters import Vector
@@ -21,7 +21,6 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.search.inference import narrowed, parts_of
 from validation.loop.task import Loop, Task
 
-CLOSE = 0.35  # largest distance between an answer and its checks, in half-widths
 AT_BOUND = 0.02  # distance from a bound, as a fraction of the range, at which parameters lie at it
 EXCLUDED = 1e-3
 """If the best fit lies at a bound and is less probable than this, no parameters within the bounds give the target."""
@@ -52,7 +51,7 @@ def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Concl
         # The error is proportional to the cell (Roache 1994); a measurement has none, a twin that of its own cells.
         cell, other = (runs[0].trajectory.scene.domain.cell for runs in (answers[0].checks, cells))
         share = (cell - (task.target.cell or 0.0)) / (cell - other)
-        change = share * (answers[0].observation - np.mean([run.numbers for run in cells], axis=0))
+        change = share * (answers[0].checked - np.mean([run.numbers for run in cells], axis=0))
         beyond = 1.0 if share <= 0.0 else max(0.0, 1.0 - 1.0 / share)
         state, answers = checked(reopened(state, discretisation=change, extrapolated=beyond), moves=moves)
     for _ in range(CONSTANTS.rounds):
@@ -177,25 +176,30 @@ def answers_of(state: Loop, parts: Sequence[Part]) -> tuple[Answer, ...]:
         checks = checks_of(state, part) or [state.every[int(np.argmin(distances(state.every, part)))]]
         known = state.knowledge
         fit = replace(fitted(state, checks, part.point), applied=known.factor, spared=known.spared)
+        carried, runs = carry(state, checks, part.point), tuple(checks)
         place, ends = box.at(part.point), box.at(part.interval)
-        answers.append(Answer(parameters=place, interval=ends, weight=part.weight, checks=tuple(checks), fit=fit))
+        answer = Answer(parameters=place, interval=ends, weight=part.weight, checks=runs, carried=carried, fit=fit)
+        answers.append(answer)
     return tuple(sorted(answers, key=lambda answer: not answer.confirmed))
 
 
+def carry(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Values:
+    """Difference of the observation between `point` [U] of the unit box and the place of the checks, [M]: the checks
+    may lie a fraction of a half-width away."""
+    place = state.knowledge.box.shares(checks[0].parameters)
+    there, here = state.knowledge.posterior.expected(np.stack([point, place]))
+    return np.asarray(there - here)
+
+
 def fitted(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Fit:
-    """Compare the checks of an answer, carried over to `point` [U] of the unit box, with the target.
-
-    The scatter is that of runs repeated near the point, else anywhere.
-
-    The checks may lie a fraction of a half-width away from it: the emulator gives the difference.
-    """
+    """Compare the checks of an answer, carried over to `point` [U] of the unit box, with the target. The scatter is
+    that of runs repeated near the point, else anywhere."""
     knowledge, near, numbers = state.knowledge, state.knowledge.posterior.near, state.numbers
     scatter = Scatter.of_runs(state.points[near], numbers[near], knowledge.scatter)
     if scatter.freedom == 0:
         scatter = Scatter.of_runs(state.points, numbers, knowledge.scatter)
     place, step = knowledge.box.shares(checks[0].parameters), 1e-3 * np.eye(len(point))
-    there, here = knowledge.posterior.expected(np.stack([point, place]))
-    shown = np.stack([check.numbers for check in checks]) + (there - here)
+    shown = np.stack([check.numbers for check in checks]) + carry(state, checks, point)
     slopes: Matrix | None = None
     if shown.shape[1] <= MAX_NUMBERS:
         # Derivatives by parameters in fractions of their ranges, by the emulator, shape [U, M].

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from datasets import Baffle, Mass, Solid
-from inverse import Problem, TargetSettings, read_problem
+from inverse import Parameter, Problem, TargetSettings, read_problem
 from inverse.observations import ProfileSettings
 from inverse.observations.measured_profile import Heights
 from inverse.observations.profile import REPRESENTATION
@@ -48,6 +48,19 @@ def test_a_profile_is_the_same_target_however_it_is_written(
 ) -> None:
     plain = target_of(measured(tmp_path))
     np.testing.assert_allclose(target_of(measured(tmp_path, x, height, **settings)).values, plain.values, atol=1e-6)
+
+
+def test_the_area_is_one_that_the_bounds_allow(tmp_path: Path) -> None:
+    """Of an unknown height; other units are other areas, or higher than the box."""
+    height = Parameter(name="masses[0].height", initial=0.4, lower=0.2, upper=0.5)
+
+    def of(factor: float) -> Target:
+        settings = measured(tmp_path, height=factor * HEIGHT)
+        return target_of(dataclasses.replace(settings, parameters=(height,)))
+
+    assert np.isfinite(of(0.5).values).all()
+    refused(of, 0.1, said="0.9 to 1.1 times the area that was released, 0.04 to 0.1 m^2 within the bounds")
+    refused(of, 100.0, said="heights up to that of the box")
 
 
 def test_a_table_is_read_once(tmp_path: Path) -> None:
@@ -130,7 +143,7 @@ def test_a_gap_in_the_rows_is_no_mistake(tmp_path: Path) -> None:
         lines = [line if not 6 <= number - 1 <= 12 else blank for number, line in enumerate(text)]
         (tmp_path / "profile.csv").write_text("\n".join(lines) + "\n")
         scene = read_problem("friction-tall-42").scene
-        gapped = ProfileSettings(csv="profile.csv").read(scene, tmp_path, 0.08)
+        gapped = ProfileSettings(csv="profile.csv").read(scene, tmp_path, (0.08, 0.08))
         assert gapped.profile.gaps.sum() == 1
         np.testing.assert_allclose(gapped.values, whole.values, atol=1e-9)
 
@@ -143,7 +156,7 @@ def test_a_profile_ends_at_a_solid(heights: Heights, tmp_path: Path) -> None:
     x = np.array([*np.arange(0.0, 0.3, 0.02), *np.arange(0.4, 0.6, 0.02)])
     rows = np.stack([x, np.full(len(x), 0.1)], axis=1)
     np.savetxt(tmp_path / "profile.csv", rows, delimiter=",", header="x,height", comments="")
-    target = ProfileSettings(csv="profile.csv", heights=heights).read(scene, tmp_path, 0.08)
+    target = ProfileSettings(csv="profile.csv", heights=heights).read(scene, tmp_path, (0.08, 0.08))
     expected = 0.6 * np.array([*(0.025 + 0.05 * np.arange(20)), 0.995])
     np.testing.assert_allclose(target.values, expected, atol=1e-9)
     x, y = np.meshgrid(np.linspace(0.0005, 0.5995, 600), np.linspace(0.0005, 0.0995, 100), indexing="ij")

@@ -253,10 +253,10 @@ def test_as_many_gauges_as_times(count: int, times: tuple[float, ...]) -> None:
 def test_a_noise_in_per_cent_without_its_sign_is_said() -> None:
     settings = FrontSettings(value=0.7, noise=5.0)
     with pytest.warns(UserWarning, match='a percentage is written "5%"'):
-        settings.read(BAFFLED, Path(), None)
+        settings.read(BAFFLED, Path(), (0.0, 1.0))
     tall = dataclasses.replace(BAFFLED, domain=dataclasses.replace(BAFFLED.domain, size=(20.0, 20.0)))
     with pytest.warns(UserWarning, match='noise of 5 is more than every number, at most 0.7; .* is written "5%"'):
-        settings.read(tall, Path(), None)
+        settings.read(tall, Path(), (0.0, 1.0))
 
 
 def test_the_impulse_is_that_of_the_solid() -> None:

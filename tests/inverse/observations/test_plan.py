@@ -22,6 +22,7 @@ PLANE = Solid(kind="terrain", origin=(-1.0, -1.0), spacing=(6.0, 6.0), heights=(
 """Falls by half along x: from 2.5 m over the corner of the box."""
 NORMAL = 1.0 / np.sqrt(1.25)
 CORNER = (2_600_000.0, 1_200_000.0)
+ANY, KNOWN = (0.0, float("inf")), (0.04, 0.04)  # released volume over the width, unknown or of the layer [m^2]
 
 
 def scene(*solids: Solid, origin: bool = False, **changes: object) -> Scene:
@@ -90,7 +91,7 @@ def test_a_flow_fits_the_map_of_its_own_peaks(most: int, tmp_path: Path, monkeyp
     run = dataclasses.replace(layer(made), positions=positions, time=np.arange(3.0))
     write_raster(tmp_path / "peak.tif", maps_of(run, 0.2).depth, 0.2, CORNER, "EPSG:2056", "depth", "m")
     settings = ThicknessSettings(file="peak.tif", noise=0.01, peak=True, direction="vertical")
-    target = settings.read(made, tmp_path, None)
+    target = settings.read(made, tmp_path, ANY)
     assert target.observation.grid.count <= most
     np.testing.assert_allclose(target.observation.observe(run), target.values, atol=2.0e-3)
 
@@ -103,7 +104,7 @@ def test_a_raster_on_the_map_is_the_target_that_its_flow_makes(cell: float, tmp_
     middles = cell * (np.arange(count) + 0.5)
     inside = (middles > 0.8) & (middles < 2.4)
     write_raster(tmp_path / "h.tif", 0.1 * np.outer(inside, inside), cell, CORNER, "EPSG:2056", "thickness", "m")
-    target = ThicknessSettings(file="h.tif", noise="10%", length=0.5).read(made, tmp_path, 0.04)
+    target = ThicknessSettings(file="h.tif", noise="10%", length=0.5).read(made, tmp_path, KNOWN)
     shown = target.observation.observe(layer(made))
     grid = target.observation.grid
     assert min(grid.spacing) == pytest.approx(max(cell, 0.2))
@@ -130,25 +131,25 @@ def test_our_own_maps_say_how_they_are_measured(name: str, direction: str, tmp_p
     values = getattr(maps_of(layer(made), 0.2), name)
     write_raster(tmp_path / "own.tif", values, 0.2, CORNER, "EPSG:2056", KINDS[name][0], "m")
     settings = ThicknessSettings(file="own.tif", noise=0.01, peak=True)
-    target = settings.read(made, tmp_path, None)
+    target = settings.read(made, tmp_path, ANY)
     np.testing.assert_allclose(target.observation.observe(layer(made)), target.values, atol=1e-6)
     other = {"vertical": "normal", "normal": "vertical"}[direction]
     wrong = dataclasses.replace(settings, direction=other)
-    refused(wrong.read, made, tmp_path, None, said=f"direction: expected {direction}, as this map of Talus is measured")
+    refused(wrong.read, made, tmp_path, ANY, said=f"direction: expected {direction}, as this map of Talus is measured")
 
 
 def test_what_is_no_raster_of_this_flow_is_refused(tmp_path: Path) -> None:
     made, heap = scene(origin=True), np.full((20, 20), 10.0)
     write_raster(tmp_path / "cm.tif", heap, 0.2, CORNER, "EPSG:2056", "thickness", "m")
     write_raster(tmp_path / "far.tif", heap, 0.2, (0.0, 0.0), "EPSG:2056", "thickness", "m")
-    refused(ThicknessSettings(file="cm.tif").read, made, tmp_path, 0.04, said="cm.tif: expected a volume of at most")
-    refused(ThicknessSettings(file="far.tif").read, made, tmp_path, 0.04, said="far.tif: expected cells between 0 and")
+    refused(ThicknessSettings(file="cm.tif").read, made, tmp_path, KNOWN, said="cm.tif: expected a volume of at most")
+    refused(ThicknessSettings(file="far.tif").read, made, tmp_path, KNOWN, said="far.tif: expected cells between 0 and")
     refused(lambda: ThicknessSettings(cell=-1.0), said="cell: expected a positive length")
     middles = 0.2 * (np.arange(20) + 0.5)
     inside = np.outer(abs(middles - 1.6) < 0.8, abs(middles - 1.6) < 0.8)
     write_raster(tmp_path / "cut.tif", np.where(inside, 0.1, np.nan), 0.2, CORNER, "EPSG:2056", "thickness", "m")
     with pytest.warns(UserWarning, match="100% of the cells around the deposit have no data"):
-        ThicknessSettings(file="cut.tif").read(made, tmp_path, 0.04)
+        ThicknessSettings(file="cut.tif").read(made, tmp_path, KNOWN)
 
 
 @pytest.mark.parametrize("direction", ["normal", "vertical"])
@@ -162,7 +163,7 @@ def test_points_of_a_survey_are_the_thickness_above_the_terrain(direction: str, 
     rows = np.column_stack([plan + CORNER, height + 1300.0])
     np.savetxt(tmp_path / "survey.csv", rows, "%.6f", ",", header="x,y,z", comments="")
     settings = ThicknessSettings(file="survey.csv", noise=0.01, direction=direction, cell=0.4)
-    target = settings.read(made, tmp_path, 0.04)
+    target = settings.read(made, tmp_path, KNOWN)
     places = target.observation.grid.positions[target.observation.cells]
     core = ((places > 0.8 + 0.01) & (places < 2.4 - 0.01)).all(axis=1)
     factor = NORMAL if direction == "normal" else 1.0
@@ -170,7 +171,7 @@ def test_points_of_a_survey_are_the_thickness_above_the_terrain(direction: str, 
     assert not target.values[~core].any()
     np.savetxt(tmp_path / "survey.csv", rows - [0.0, 0.0, 1.0], "%.6f", ",", header="x,y,z", comments="")
     with pytest.warns(UserWarning, match=r"half of the survey lies 1 m or more beneath the terrain"):
-        refused(settings.read, made, tmp_path, 0.04, said="survey.csv: expected a thickness above 0 m in the box")
+        refused(settings.read, made, tmp_path, KNOWN, said="survey.csv: expected a thickness above 0 m in the box")
 
 
 def disc(scene: Scene, radius: float, middle: tuple[float, float] = (2.0, 2.0)) -> Trajectory:
@@ -200,7 +201,7 @@ def test_an_outline_is_signed_distances_along_the_boundary(suffix: str, tmp_path
     key = "csv" if suffix == "csv" else "file"
     settings = OutlineSettings(**{key: path.name}, noise=0.05, length=1.0, thickness=0.05)
     made = dataclasses.replace(made, domain=dataclasses.replace(made.domain, crs="EPSG:2056"))
-    target = settings.read(made, tmp_path, None)
+    target = settings.read(made, tmp_path, ANY)
     assert not target.values.any()
     for radius in (1.3, 1.0):
         run = disc(made, radius)
@@ -225,13 +226,13 @@ def test_our_own_outline_is_compared_at_its_own_threshold(tmp_path: Path) -> Non
         pyogrio.raw.write(tmp_path / name, written, columns, fields, geometry_type="Polygon", crs="EPSG:2056")
     for thickness, level, area in ((None, 0.05, 1.2), (0.08, 0.08, 1.0)):
         settings = OutlineSettings(file="own.gpkg", noise=0.05, thickness=thickness)
-        operator = settings.read(made, tmp_path, None).observation
+        operator = settings.read(made, tmp_path, ANY).observation
         assert operator.thickness == level
         assert operator.region.area == pytest.approx(np.pi * area**2, rel=1e-2)
     wrong = OutlineSettings(file="own.gpkg", noise=0.05, thickness=0.07)
-    refused(wrong.read, made, tmp_path, None, said="thickness: expected one of the file's, 0.05, 0.08, got 0.07")
+    refused(wrong.read, made, tmp_path, ANY, said="thickness: expected one of the file's, 0.05, 0.08, got 0.07")
     with pytest.warns(UserWarning, match="the model's outline is where it is 0.1 m thick"):
-        OutlineSettings(file="other.gpkg", noise=0.05).read(made, tmp_path, None)
+        OutlineSettings(file="other.gpkg", noise=0.05).read(made, tmp_path, ANY)
 
 
 def test_the_slope_of_a_distance_is_that_of_the_boundary() -> None:
@@ -254,7 +255,7 @@ def test_a_twins_outline_is_its_own_and_a_wrong_one_is_refused(tmp_path: Path) -
     (tmp_path / "bow.csv").write_text("x,z\n1,1\n2,2\n2,1\n1,2\n")
     (tmp_path / "two.csv").write_text("x,z\n1,1\n2,2\n")
     for name, said in (("far", "within the box"), ("bow", "in order along the outline"), ("two", "three vertices")):
-        refused(OutlineSettings(csv=f"{name}.csv", noise=0.1).read, made, tmp_path, None, said=said)
+        refused(OutlineSettings(csv=f"{name}.csv", noise=0.1).read, made, tmp_path, ANY, said=said)
     refused(lambda: OutlineSettings(noise="5%"), said="a distance in m")
 
 
