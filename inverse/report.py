@@ -15,13 +15,12 @@ from inverse.fields.posterior import IDENTIFIED, FieldPosterior
 from inverse.noise import CONFIDENCE
 from inverse.observations.target import ALL_DATA
 from inverse.parameters import Parameter, changed_material
-from inverse.residuals import outlying, places_of, residuals
+from inverse.residuals import other_units, outlying, places_of, residuals
 from inverse.result import Result
 
 NAMED = 4  # with more unknowns the conclusion gives the range of their half-widths, and tables omit them
 MAIN = 0.3  # a combination names those of its `NAMED` heaviest parameters with this share of the largest weight or more
 SUGGESTED = 3  # number of measurements, and of identifiable combinations, that the conclusion names
-FACTOR = 30.0  # ratio of an observation to those of all runs beyond which the report asks for its unit
 DECISIVE = 0.2  # least information [nat] of a measurement in the conclusion: the noise of few runs can feign less
 LARGER, FINEST = 1.5, 8.0
 """Error of the cells over the noise above which the report advises finer cells, and up to which it gives their size."""
@@ -196,18 +195,6 @@ def quality(result: Result) -> str:
         listed = ", ".join(f"{names[index]} ({off:+.1f})" for index, off in fit.outliers.items())
         parts.append(f"outliers, in standard deviations from what all other numbers predict: {listed}")
     return sentence([*parts, *other_units(result)])
-
-
-def other_units(result: Result) -> list[str]:
-    """Observations that are far smaller, or far larger, than in any run."""
-    said = []
-    for part in result.target.observation.parts if result.mpm_runs else ():
-        observed = rms(result.target.values[part.numbers])
-        shown = [rms(run.numbers[part.numbers]) for run in result.mpm_runs]
-        if observed * FACTOR < min(shown) or observed > FACTOR * max(shown):
-            times = observed / np.median(shown)
-            said.append(f"check the unit of {part.name}: it is {times:.1g} times that of the MPM runs")
-    return said
 
 
 def sentence(parts: Sequence[str]) -> str:

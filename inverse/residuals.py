@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from datasets.flow.measures import rms
 from inverse.inference_data import predictive
 from inverse.observations import Values
 from inverse.observations.observation import JointPart
@@ -21,6 +22,7 @@ from inverse.result import Result
 
 OUTLIER = 3.0  # standardised residual beyond which a number is an outlier
 LISTED, WORST = 40, 10  # an observation of more numbers than `LISTED` lists only the `WORST`
+FACTOR = 30.0  # ratio of an observation to those of all runs beyond which the report asks for its unit
 NORMAL = 1.96  # half of a 95 % interval over the standard deviation
 
 
@@ -96,3 +98,15 @@ def outlying(fits: Sequence[Residuals], found: int = 0) -> str:
     if found and not named:
         return f"With the errors that the outlier{'s' if found > 1 else ''} enlarged, no number is {which}."
     return f"Outliers, {which}: {'; '.join(named)}." if named else f"No number is {which}."
+
+
+def other_units(result: Result) -> list[str]:
+    """Observations that are far smaller, or far larger, than in any run."""
+    said = []
+    for part in result.target.observation.parts if result.mpm_runs else ():
+        observed = rms(result.target.values[part.numbers])
+        shown = [rms(run.numbers[part.numbers]) for run in result.mpm_runs]
+        if observed * FACTOR < min(shown) or observed > FACTOR * max(shown):
+            times = observed / np.median(shown)
+            said.append(f"check the unit of {part.name}: it is {times:.1g} times that of the MPM runs")
+    return said

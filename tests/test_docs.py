@@ -80,7 +80,7 @@ def deposit(tmp_path: Path) -> Path:
 def test_the_problem_of_a_deposit_is_read(deposit: Path) -> None:
     problem = read_problem(str(deposit / "site-problem.toml"))
     rows = np.loadtxt(deposit / "survey.csv", delimiter=",", skiprows=1)
-    assert np.trapezoid(rows[:, 1], rows[:, 0]) == pytest.approx(problem.released, rel=0.05)
+    assert np.trapezoid(rows[:, 1], rows[:, 0]) == pytest.approx(problem.released[0], rel=0.05)
 
 
 def test_a_prior_is_stated_alike_in_toml_and_in_python(tmp_path: Path) -> None:
