@@ -106,8 +106,8 @@ class Answer:
         """Whether the flows of the checks, if any, are those of the answer: their parameters are close to it."""
         if self.carried is None or not self.checks:
             return True
-        off = np.abs(self.checks[0].parameters - self.parameters)
-        return bool((off <= CLOSE * self.half_widths).all())
+        off = (self.checks[0].parameters - self.parameters) / np.maximum(self.half_widths, 1e-12)
+        return bool(np.sqrt((off**2).mean()) <= CLOSE)
 
     @property
     def confirmed(self) -> bool:

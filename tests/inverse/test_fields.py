@@ -114,7 +114,12 @@ def test_a_linear_problem_has_the_exact_gaussian_posterior() -> None:
 
 def test_a_step_is_halved_until_the_objective_falls() -> None:
     search = objective(LinearFlow(MATRIX, bend=0.05), np.full(M, 20.0))
-    assert search.minimise(np.zeros(W), 30).promised < 0.5
+    posterior = search.minimise(np.zeros(W), 30)
+    assert posterior.promised < 0.5
+    assert not posterior.cut
+    ended = objective(LinearFlow(MATRIX, bend=0.05), np.full(M, 20.0)).minimise(np.zeros(W), 1)
+    assert ended.promised > 0.5
+    assert ended.cut
     objectives = [iterate["objective"] for iterate in search.iterates]
     assert sorted(objectives, reverse=True) == objectives
     assert min(iterate["step"] for iterate in search.iterates[1:]) < 1.0

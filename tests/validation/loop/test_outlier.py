@@ -17,7 +17,7 @@ from inverse.forward import Simulate
 from inverse.observations import FrontSettings, PassedSettings
 from inverse.observations.errors import Student
 from inverse.report import summary
-from inverse.residuals import outlying, residuals
+from inverse.residuals import other_units, outlying, residuals
 from inverse.saving import save
 from inverse.target import read_target
 from mpm import ALL, Recording
@@ -116,6 +116,26 @@ def test_an_outlier_widens_the_interval_by_birge_s_ratio(tmp_path: Path, off: fl
     assert result.answers[0].holds(np.array([SPEED, FRICTION][:unknowns])).all()
     assert list(fit.outliers) == [4]
     assert fit.outliers[4] > 4.0  # observed beyond what the others predict
+    assert "front at time 0.3 s (+" in summary(result)
+    assert not outlying(residuals(result), 1).startswith("No number")
+
+
+def test_what_is_shown_at_the_answer_is_a_flow_there(tmp_path: Path) -> None:
+    """Not the mean of the checks, which lie a little beside it."""
+    result = solved(problem_of(tmp_path, RIGHT + 0.15 * (TIMES == 0.30), NAMES[:1]), tmp_path)
+    there = 0.3 + moved(TIMES, result.answer[0], np.array(FRICTION))
+    np.testing.assert_allclose(result.predicted, there, atol=0.01 * NOISE)
+    off = replace(result.answers[0], parameters=result.answer + 2.0 * result.answers[0].half_widths)
+    far = replace(result, answers=(off,))
+    assert result.answers[0].near
+    assert "masses[0].velocity_x" in far.remarks[0]
+
+
+def test_an_observation_in_another_unit_is_asked_for(tmp_path: Path) -> None:
+    result = solved(problem_of(tmp_path, RIGHT, NAMES[:1]), tmp_path)
+    assert other_units(result) == []
+    kilometres = replace(result, target=replace(result.target, values=1e-3 * result.target.values))
+    assert other_units(kilometres) == ["check the unit of front: it is 0.001 times that of the MPM runs"]
 
 
 def test_of_two_numbers_that_contradict_each_other_none_is_named(tmp_path: Path) -> None:
