@@ -157,8 +157,8 @@ def slope_height(flow: Trajectory) -> float:
     np.maximum.at(top, place, level)
     np.minimum.at(foot, place, level)
     empty = np.isinf(top)
-    # Beside an empty column the ground ends at a free face, whose foot counts as a surface.
-    lowest = np.where(binary_dilation(empty), np.minimum(top, foot), top)[~empty].min()
+    # Beside an empty column the ground ends at a free face; its foot, a particle lower, counts as a surface.
+    lowest = np.where(binary_dilation(empty), foot - scene.particle_spacing, top)[~empty].min()
     return max(float(top.max() - lowest), column)
 
 

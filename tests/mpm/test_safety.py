@@ -101,7 +101,7 @@ def test_ground_behind_and_below_a_cut_does_not_make_it_safer() -> None:
         cut = Mass(kind="polygon", vertices=corners, material=clay)
         scene = scene_of(cut, size=(end, top + 2.5), cell=HEIGHT / 8, floor_friction="rough")
         found = safety_factor(scene, tolerance=0.03)
-        assert found.cells == pytest.approx(8.0, abs=1.1)
+        assert found.cells == pytest.approx(8.0, abs=0.5)
         return found.factor
 
     near = factor(25.0, 0.0)
