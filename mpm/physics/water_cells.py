@@ -8,7 +8,7 @@ is the same to the bit on any number of threads.
 import taichi as ti
 
 from datasets.scene.water import DENSITY
-from mpm.arrays.access import columns_deep, synchronise, workers_of
+from mpm.arrays.access import columns_deep, maximum, minimum, synchronise, workers_of
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Beside, Face, Offset, Pore, Setting, Span, Worker
 from mpm.physics.boundary import is_wall
@@ -42,7 +42,7 @@ def solve_cells(thread, scene, stiffness, diffusion, arrays: ti.template()):
         of_evens = half % 2 == 0
         for worker in range(first, end):
             for n in range(arrays.workers[worker, Worker.EVEN] if of_evens else arrays.workers[worker, Worker.ODD]):
-                relax_cell(listed_cell(worker, n, of_evens, arrays), stiffness, arrays)
+                relax_cell(listed_cell(worker, n, of_evens, arrays), stiffness, half >= 2 * sweeps - 1, arrays)
         synchronise(thread, arrays)
     if ti.static(arrays.features.processor.shared):
         for worker in range(first, end):
@@ -168,7 +168,7 @@ def beyond_face(cell, place, next_cell, face: ti.template(), worker, scene, arra
 @ti.func
 def below_surface(sums, face: ti.template()):
     """Distance from the centre of mass of a cell to a surface beyond a face [cells]: its material lies opposite."""
-    return ti.max(0.5 + ti.static(2 * (face % 2) - 1) * sums[Pore.CENTRE_X + ti.static(face // 2)], 0.25)
+    return maximum(0.5 + ti.static(2 * (face % 2) - 1) * sums[Pore.CENTRE_X + ti.static(face // 2)], 0.25)
 
 
 @ti.func
@@ -193,7 +193,7 @@ def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.templat
                 arrays.beside[cell, face] = next_cell
                 diagonal += stiffness
                 other = arrays.cells[2 * next_cell]
-                apart = ti.max(1.0 + away * (other[Pore.CENTRE_X + axis] - sums[Pore.CENTRE_X + axis]), 0.25)
+                apart = maximum(1.0 + away * (other[Pore.CENTRE_X + axis] - sums[Pore.CENTRE_X + axis]), 0.25)
                 weight = 0.0 * pressure
                 for k in ti.static(range(features.dimension)):
                     part = other[Pore.CENTRE_X + k] - sums[Pore.CENTRE_X + k]
@@ -201,22 +201,21 @@ def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.templat
                         part += away
                     weight += DENSITY * dx * pull[k] * part
                 there, here = other[Pore.PRESSURE] + other[Pore.SUCTION], pressure + sums[Pore.SUCTION]
-                step = ti.max(there, 0.0) - ti.max(here, 0.0) - other[Pore.SUCTION] + sums[Pore.SUCTION]
+                step = maximum(there, 0.0) - maximum(here, 0.0) - other[Pore.SUCTION] + sums[Pore.SUCTION]
                 flow = (step - weight) / apart
                 # No water flows out of pores that are not full.
-                if (flow > 0.0 and there > 0.0) or (flow < 0.0 and here > 0.0):
-                    inflow += flow
+                inflow += ti.select(ti.select(flow > 0.0, there, here) > 0.0, flow, 0.0)
                 rise += away * step
                 run += apart
             elif kind == Face.SURFACE or kind == Face.DRAIN:
                 distance = 0.5 + 0.0 * pressure
                 if kind == Face.SURFACE:
                     distance = below_surface(sums, face)
-                    full *= ti.min(2.0 * distance, 1.0)
+                    full *= minimum(2.0 * distance, 1.0)
                     diagonal += stiffness / distance
                 else:
                     diagonal += diffusion / distance
-                head = ti.max(pressure, 0.0 - sums[Pore.SUCTION])
+                head = maximum(pressure, 0.0 - sums[Pore.SUCTION])
                 outflow = head / distance + DENSITY * dx * pull[axis] * away
                 if (outflow > 0.0 and pressure > 0.0) or (outflow < 0.0 and kind == Face.SURFACE):
                     inflow -= outflow
@@ -232,12 +231,12 @@ def source_of_cell(cell, worker, scene, stiffness, diffusion, arrays: ti.templat
     given[Pore.SOURCE - NODE], given[Pore.SHARE - NODE] = source, full
     given[Pore.PER_DIAGONAL - NODE] = 1.0 / (full + diagonal)
     least = 0.0 - sums[Pore.SUCTION]
-    given[Pore.FELT - NODE] = ti.max(pressure + source / full, least) - ti.max(pressure, least)
+    given[Pore.FELT - NODE] = maximum(pressure + source / full, least) - maximum(pressure, least)
     arrays.cells[2 * cell + 1] = given
 
 
 @ti.func
-def relax_cell(cell, stiffness, arrays: ti.template()):
+def relax_cell(cell, stiffness, last, arrays: ti.template()):
     """One projected Gauss-Seidel step for the change of the pressure in a cell and of the part that presses."""
     given, sums = arrays.cells[2 * cell + 1], arrays.cells[2 * cell]
     total = 0.0 * stiffness
@@ -246,11 +245,12 @@ def relax_cell(cell, stiffness, arrays: ti.template()):
     total = given[Pore.SOURCE - NODE] + stiffness * total
     full, per_diagonal = given[Pore.SHARE - NODE], given[Pore.PER_DIAGONAL - NODE]
     pressure, least = sums[Pore.PRESSURE], 0.0 - sums[Pore.SUCTION]
-    before = ti.max(pressure, least)
-    felt = ti.max((full * (pressure - before) + total) * per_diagonal, least - before)
-    change = before + felt - pressure
-    if before + felt <= least:
-        # Open: the pressure of its neighbours has opened it further.
-        change = felt + (total - felt / per_diagonal) / full
+    before = maximum(pressure, least)
+    felt = maximum((full * (pressure - before) + total) * per_diagonal, least - before)
     arrays.cells[2 * cell + 1][Pore.FELT - NODE] = felt
-    arrays.cells[2 * cell + 1][Pore.CHANGE - NODE] = change
+    if last:
+        change = before + felt - pressure
+        if before + felt <= least:
+            # Open: the pressure of its neighbours has opened it further.
+            change = felt + (total - felt / per_diagonal) / full
+        arrays.cells[2 * cell + 1][Pore.CHANGE - NODE] = change
