@@ -146,8 +146,9 @@ def plan_sums(
         end, there, faster = moment(fields, frame)
         count, known = 1, len(faster) > 0
         if known and len(velocity) > 0:
-            moved = float(np.quantile(np.linalg.norm(there - places, axis=1), FAST))
-            count = min(max(math.ceil(moved / cell), 1), BETWEEN)
+            moved = there - places
+            fast = math.sqrt(np.quantile(np.einsum("nk,nk->n", moved, moved), FAST))
+            count = min(max(math.ceil(fast / cell), 1), BETWEEN)
         for share in np.arange(1, count + 1) / count:
             time = begin + share * (end - begin)
             motion = (places, there), (velocity, faster), share, end - begin
