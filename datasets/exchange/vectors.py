@@ -45,7 +45,10 @@ def read_polygons(path: Path, crs: str | None) -> list[Feature]:
     """The polygons of a file, each of several in a feature by itself, in the reference system `crs` (`read_shapes`)."""
     by_layer: dict[str, list[Feature]] = {}
     for place, named, layer in read_shapes(path, crs, "polygons"):
-        polygons = [part for part in shapely.get_parts(place) if part.geom_type == "Polygon" and not part.is_empty]
+        parts = shapely.get_parts(place)
+        while (shapely.get_type_id(parts) >= shapely.GeometryType.MULTIPOINT).any():
+            parts = shapely.get_parts(parts)  # a collection may hold further ones
+        polygons = [part for part in parts if part.geom_type == "Polygon" and not part.is_empty]
         by_layer.setdefault(layer, []).extend(Feature(polygon, named) for polygon in polygons)
     layers = [layer for layer, polygons in by_layer.items() if polygons]
     require(len(layers) > 0, "", "polygons", "none")
