@@ -1,5 +1,6 @@
 """Shapes from the vector files of a GIS by pyogrio: shapefile, GeoPackage, GeoJSON, KML."""
 
+import math
 import re
 from collections.abc import Iterator
 from functools import partial
@@ -39,6 +40,19 @@ class Feature(NamedTuple):
 
     polygon: Polygon  # in metres
     attributes: dict[str, Any]  # names in lower case
+
+    def length(self, *names: str) -> float | None:
+        """The first of these attributes that has a value [m], None where none has. Raises InputError for what is no
+        length of at least 0."""
+        values = [self.attributes[name] for name in names if name in self.attributes]
+        # NULL is None or NaN, and in a column of text it may be empty.
+        value = next((value for value in values if value == value and value not in (None, "")), None)
+        try:
+            length = 0.0 if value is None else float(value)
+        except (TypeError, ValueError):
+            length = math.nan
+        require(0.0 <= length < math.inf, "", f"a number [m] in the attribute {' or '.join(names)}", value)
+        return None if value is None else length
 
 
 def read_polygons(path: Path, crs: str | None) -> list[Feature]:
