@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 
 from datasets.command_line import run
-from datasets.errors import naming, require
+from datasets.errors import InputError, naming, require
 from datasets.exchange.map_box import ROUNDING, filled, whole_cells
 from datasets.files import write_text
 from datasets.scene.checks import warn_if_unlikely
@@ -124,15 +124,10 @@ def site(
 
 def thickness_of(feature: "Feature", given: float | None) -> float:
     """Thickness of a polygon [m]: the given one, else its attribute. Raises InputError."""
-    values = [feature.attributes[name] for name in THICKNESS if name in feature.attributes]
-    # NULL is None or NaN, and in a column of text it may be empty.
-    attribute = next((value for value in values if value == value and value not in (None, "")), None)
-    try:
-        value = given if given is not None else float("nan" if attribute is None else attribute)
-    except (TypeError, ValueError):
-        value = math.nan
-    expected = f"a thickness above 0 m, or an attribute {' or '.join(THICKNESS)} of each polygon"
-    require(0.0 < value < math.inf, "--thickness", expected, attribute if given is None else given)
+    value = feature.length(*THICKNESS) if given is None else given
+    if value is None or not 0.0 < value < math.inf:
+        expected = f"a thickness above 0 m, or an attribute {' or '.join(THICKNESS)} of each polygon"
+        raise InputError(f"expected {expected}, got {value}", key="--thickness")
     return value
 
 

@@ -101,12 +101,14 @@ def outlying(fits: Sequence[Residuals], found: int = 0) -> str:
 
 
 def other_units(result: Result) -> list[str]:
-    """Observations that are far smaller, or far larger, than in any run."""
+    """Observations that are far smaller, or far larger, than in any run. Shares have no unit, and distances of an
+    outline are 0 where they are observed."""
     said = []
     for part in result.target.observation.parts if result.mpm_runs else ():
         observed = rms(result.target.values[part.numbers])
         shown = [rms(run.numbers[part.numbers]) for run in result.mpm_runs]
-        if observed * FACTOR < min(shown) or observed > FACTOR * max(shown):
+        far = observed * FACTOR < min(shown) or observed > FACTOR * max(shown)
+        if far and part.observation.unit and min(observed, np.median(shown)) > 0.0:
             times = observed / np.median(shown)
             said.append(f"check the unit of {part.name}: it is {times:.1g} times that of the MPM runs")
     return said

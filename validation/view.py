@@ -6,7 +6,7 @@ from typing import Any
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming
-from datasets.files import read_json, reading
+from datasets.files import make_folder, read_json, reading
 
 FIELDS = ("velocities", "pressure", "plastic_strain", "pore_pressure")  # recorded fields that the page can show
 TARGETS = "mpm/target-*.npz"  # file in which `validation.loop` stores the flow of a twin experiment
@@ -61,6 +61,7 @@ def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None
         files, labels = [file, source_of(other)[0]], [*labels_of(flow, other)]
     page = out or (flow if flow.is_dir() else flow.parent) / "view.html"
     flows = [open_trajectory(path, *FIELDS, sound=True) for path in files]
+    make_folder(page.parent)
     with naming(files[-1]):
         write_view(page, *flows, title=flow.resolve().name, labels=labels, observed=Observed(**observed))
     print(f"written to {page}, {page.stat().st_size / 1e6:.1f} MB")

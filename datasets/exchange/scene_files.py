@@ -100,7 +100,7 @@ class Reader:
                     content = {"vertices": vertices.tolist(), "triangles": triangles.tolist()}
                 elif kind == INFLOW:
                     require(at is None, f"{key}.at", "no such key beside a hydrograph", "one")
-                    columns = read_columns(path, ("time", "discharge", "speed"))
+                    columns = read_columns(path, ("time", "discharge", "speed"), dimension=len(self.size))
                     content = {"hydrograph": np.stack([*columns.values()], axis=1).tolist()}
                 elif len(self.size) == 3:
                     content = self.field(path, at, "heights" if kind == "terrain" else name)

@@ -1,5 +1,6 @@
 """Shapes from the vector files of a GIS by pyogrio: shapefile, GeoPackage, GeoJSON, KML."""
 
+import math
 import re
 from collections.abc import Iterator
 from functools import partial
@@ -40,12 +41,28 @@ class Feature(NamedTuple):
     polygon: Polygon  # in metres
     attributes: dict[str, Any]  # names in lower case
 
+    def length(self, *names: str) -> float | None:
+        """The first of these attributes that has a value [m], None where none has. Raises InputError for what is no
+        length of at least 0."""
+        values = [self.attributes[name] for name in names if name in self.attributes]
+        # NULL is None or NaN, and in a column of text it may be empty.
+        value = next((value for value in values if value == value and value not in (None, "")), None)
+        try:
+            length = 0.0 if value is None else float(value)
+        except (TypeError, ValueError):
+            length = math.nan
+        require(0.0 <= length < math.inf, "", f"a number [m] in the attribute {' or '.join(names)}", value)
+        return None if value is None else length
+
 
 def read_polygons(path: Path, crs: str | None) -> list[Feature]:
     """The polygons of a file, each of several in a feature by itself, in the reference system `crs` (`read_shapes`)."""
     by_layer: dict[str, list[Feature]] = {}
     for place, named, layer in read_shapes(path, crs, "polygons"):
-        polygons = [part for part in shapely.get_parts(place) if part.geom_type == "Polygon" and not part.is_empty]
+        parts = shapely.get_parts(place)
+        while (shapely.get_type_id(parts) >= shapely.GeometryType.MULTIPOINT).any():
+            parts = shapely.get_parts(parts)  # a collection may hold further ones
+        polygons = [part for part in parts if part.geom_type == "Polygon" and not part.is_empty]
         by_layer.setdefault(layer, []).extend(Feature(polygon, named) for polygon in polygons)
     layers = [layer for layer, polygons in by_layer.items() if polygons]
     require(len(layers) > 0, "", "polygons", "none")

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import math
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -185,6 +186,10 @@ def check_water(scene: SceneLayout) -> None:
         check_rows(water.table, "water.table", 2, least=2)
         rises = all(second[0] > first[0] for first, second in itertools.pairwise(water.table))
         require(rises, "water.table", "points from small to large x", "others")
+        check_reach("water.table", water.table[0][:1], water.table[-1][:1], scene)
+    elif water.table is not None:
+        last = np.multiply(water.spacing or (), np.array(np.shape(water.table)) - 1) + (water.origin or ())
+        check_reach("water.origin", water.origin or (), last, scene)
     for key, mass in keyed(scene, "masses").items():
         if scene.material_of(mass).saturated:
             continue
@@ -270,6 +275,7 @@ def check_fields(scene: SceneLayout) -> None:
         count = field.count
         require(len(field.values) == count, f"{key}.values", f"{count} numbers, one for each node", len(field.values))
         require(all(map(usual, field.values)), f"{key}.values", "finite numbers", "others")
+        check_reach(f"{key}.origin", field.origin, field.positions[-1], scene)
         masses = range(len(scene.masses))
         require(field.mass is None or field.mass in masses, f"{key}.mass", f"one of 0 to {masses[-1]}", field.mass)
         entering = [n for n in masses if scene.masses[n].kind == INFLOW and field.mass in (None, n)]
@@ -292,6 +298,15 @@ def check_fields(scene: SceneLayout) -> None:
             smallest = max(material.dilation_deg, material.residual_friction_deg or 0.0)
             message = f"angles of at least {smallest:g} degrees, dilation and residual friction of masses[{number}]"
             require(lowest >= smallest, f"{key}.values", message, lowest)
+
+
+def check_reach(key: str, first: Sequence[float], last: Any, scene: SceneLayout) -> None:
+    """Raise InputError for values from `first` to `last` [m], along all axes or in plan, that lie beside the box: they
+    are constant beyond their ends, so that one of them would count everywhere."""
+    size = scene.domain.size if len(first) == scene.dimension else scene.domain.size[::2]
+    for start, end, length in zip(first, last, size, strict=True):
+        got = f"{start:.10g} to {end:.10g} m"
+        require(start <= length and end >= 0.0, key, f"places that reach into the box, 0 to {length:g} m", got)
 
 
 def check_thickness(scene: SceneLayout, field: Field, key: str) -> None:

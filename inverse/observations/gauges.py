@@ -87,8 +87,10 @@ class GaugesSettings(LengthsSettings):
     columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
 
-    def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
-        table = super().table(path, needed, optional)
+    def table(
+        self, path: Path, needed: Sequence[str], optional: Sequence[str] = (), dimension: int = 3
+    ) -> dict[str, Floats]:
+        table = super().table(path, needed, optional, dimension)
         return table | {"height": table["height"] - self.datum * self.metres}
 
 
@@ -102,6 +104,7 @@ class Impulse(SmoothObservation):
 
     def __init__(self, scene: Scene, settings: "ImpulseSettings | PeakForceSettings") -> None:
         super().__init__(scene, settings)
+        self.unit += "/m" if scene.dimension == 2 else ""
         names, solid, axis = solid_names(scene), settings.solid, settings.axis
         number = names.index(solid) if isinstance(solid, str) and solid in names else solid
         if isinstance(number, str) or not 0 <= number < len(names):

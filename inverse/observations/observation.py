@@ -54,7 +54,7 @@ class Observation:
 
     kind: ClassVar[str]  # name in a problem's TOML
     label: ClassVar[str]  # name in reports
-    unit: ClassVar[str] = "m"  # unit of the numbers; empty for a share
+    unit: str = "m"  # unit of the numbers; empty for a share
     scatter: ClassVar[float | None] = None  # deviation from flow to flow over a number before any run; None for lengths
     limits: tuple[Any, Any] = (-math.inf, math.inf)  # smallest and largest possible number
     every_particle: ClassVar[bool] = False  # whether numbers are of single particles: many, and as many in every run

@@ -34,7 +34,8 @@ from inverse.observations.target import Target
 
 DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)  # default directions of extents
 POINTS = (8, 64)  # smallest and largest number of points along the observed boundary, two cells apart or more
-ISLAND = 0.05  # area over the largest part's, below which a part of the model's deposit is only stray particles
+ISLAND = 0.05  # area over the largest part's, below which a part of a deposit is only stray particles
+THRESHOLD = ("threshold_m", "threshold_")  # attribute of `datasets.maps`; in a shapefile its first ten characters
 THICK = 0.2  # share of the least thickness released, above which a default `thickness`, of large cells, gives a warning
 TVERSKY = (0.3, 0.7)  # weights of areas that only the model covers, and of areas that it misses, which is worse
 
@@ -68,25 +69,23 @@ class Boundary(SmoothObservation):
     of_positions, dense = False, True
 
     def __init__(self, scene: Scene, region: shapely.Geometry, thickness: float | None = None) -> None:
-        """region: the covered area in plan, from the box's corner [m]; thickness: above which the model covers [m]."""
+        """region: the covered area in plan, from the box's corner [m], of which small islands do not count, as of the
+        model's; thickness: above which the model covers [m]."""
         super().__init__(scene)
-        self.grid, self.region = plan_grid(scene, scene.domain.cell), region
+        self.grid, self.region = plan_grid(scene, scene.domain.cell), without_islands(region)
         least = 0.5 * min(map(least_thickness, scene.masses))
         self.thickness = min(scene.particle_spacing, least) if thickness is None else thickness
-        line = region.boundary
-        wanted = float(np.clip(line.length / (2.0 * scene.domain.cell), *POINTS))
-        rings = [ring for part in shapely.get_parts(region) for ring in (part.exterior, *part.interiors)]
-        counts = [max(1, round(wanted * ring.length / line.length)) for ring in rings]
-        shares = [(np.arange(count) + 0.5) / count for count in counts]
-        places = [shapely.line_interpolate_point(*pair, normalized=True) for pair in zip(rings, shares, strict=True)]
-        self.points = np.concatenate(places)
-        self.count = len(self.points)
+        rings = shapely.get_parts(self.region.boundary)
+        ends = np.cumsum(shapely.length(rings))
+        self.count = round(float(np.clip(ends[-1] / (2.0 * scene.domain.cell), *POINTS)))
+        # At equal distances along the rings one after the other: a short one may have none.
+        along = (np.arange(self.count) + 0.5) / self.count * ends[-1]
+        which = np.searchsorted(ends, along)
+        self.points = shapely.line_interpolate_point(rings[which], along - (ends - shapely.length(rings))[which])
 
     def covered(self, thickness: Floats) -> shapely.Geometry:
         """The area in which thicknesses [K] exceed that of the outline, without small islands."""
-        polygons = region_above(self.grid, thickness.reshape(self.grid.nodes), self.thickness).geoms
-        largest = max((polygon.area for polygon in polygons), default=0.0)
-        return shapely.union_all([polygon for polygon in polygons if polygon.area >= ISLAND * largest])
+        return without_islands(region_above(self.grid, thickness.reshape(self.grid.nodes), self.thickness))
 
     def heights(self, positions: Tensor, volumes: Tensor) -> Tensor:
         """Thickness in the cells of the grid [m], shape [K]."""
@@ -119,6 +118,12 @@ class Boundary(SmoothObservation):
         beyond, missed = model.area - both, self.region.area - both
         weighed = TVERSKY[0] * beyond + TVERSKY[1] * missed
         return {"intersection_over_union": both / (both + beyond + missed), "tversky": both / (both + weighed)}
+
+
+def without_islands(region: shapely.Geometry) -> shapely.Geometry:
+    """A region without parts much smaller than the largest one (`ISLAND`)."""
+    parts = shapely.get_parts(region)
+    return shapely.union_all(parts[shapely.area(parts) >= ISLAND * shapely.area(parts).max(initial=0.0)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,19 +167,26 @@ class OutlineSettings(LengthsSettings):
             else:
                 features = read_polygons(path, crs)
                 # A file of `datasets.maps` has outlines of the deposit and of the flow, for each threshold.
-                deposit = [feature for feature in features if feature.attributes.get("name") == "deposit"]
-                levels = sorted({float(feature.attributes.get("threshold_m", 0.0)) for feature in deposit} - {0.0})
-                if levels:
+                deposit = [feature for feature in features if str(feature.attributes.get("name")).lower() == "deposit"]
+                thresholds = [feature.length(*THRESHOLD) for feature in deposit]
+                if levels := sorted({level for level in thresholds if level}):
+                    require(
+                        all(thresholds), "", f"a {THRESHOLD[0]} above 0 m of each deposit, or of none", "one without"
+                    )
                     thickness = levels[0] if thickness is None else thickness
                     choices = ", ".join(f"{level:g}" for level in levels)
                     require(thickness in levels, "thickness", f"one of the file's, {choices}", thickness)
-                    deposit = [feature for feature in deposit if feature.attributes["threshold_m"] == thickness]
+                    pairs = zip(deposit, thresholds, strict=True)
+                    deposit = [feature for feature, level in pairs if level == thickness]
                 polygons = [feature.polygon for feature in deposit or features]
             region = shapely.transform(shapely.union_all(polygons), lambda rows: rows - corner)
             if not box.buffer(1e-6 * max(scene.domain.size)).contains(region):
                 got = ", ".join(f"{bound:.6g}" for bound in region.bounds)
                 raise InputError(f"expected an outline within the box, got x and z from its corner from {got} m")
         operator = Boundary(scene, region, thickness)
+        if dropped := shapely.get_num_geometries(region) - shapely.get_num_geometries(operator.region):
+            said = f"parts smaller than {ISLAND:.0%} of the largest do not count, as those of the model"
+            warnings.warn(f"{path}: {said}: {dropped}", stacklevel=2)
         if thickness is None and operator.thickness > THICK * min(map(least_thickness, scene.masses)):
             said = f"the model's outline is where it is {operator.thickness:.2g} m thick"
             warnings.warn(f"{path}: {said}; `thickness` says what was mapped", stacklevel=2)

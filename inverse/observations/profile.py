@@ -33,6 +33,7 @@ from inverse.observations.target import Target
 SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)
 """Shares of a profile's area: the middles of twenty equal parts, and the front."""
 REPRESENTATION = 0.25  # standard deviation of a height at one x from the model's mean around it, in cells
+NEARLY = 1.0e-4  # part of the distance of two stations that counts as none: positions are in single precision
 Ends = tuple[float, float]
 DRAWS = 400  # draws of noise on the heights, which give the covariance of the observation to 7 %
 
@@ -128,7 +129,9 @@ class SurfaceProfile(Profile):
         scene, rows, spacing = self.scene, len(self.fine), float(self.fine[1] - self.fine[0])
         positions = positions[self.held(positions)]
         widths = [round(width / spacing) or 1 for width in scene.domain.size[2:]]
-        index = np.clip(np.rint((positions[:, 0] - self.fine[0]) / spacing).astype(np.int64), 0, rows - 1)
+        # A tie goes up. To even numbers, a lattice between the stations would leave out every second station.
+        nearest = np.floor((positions[:, 0] - self.fine[0]) / spacing + 0.5 + NEARLY).astype(np.int64)
+        index = np.clip(nearest, 0, rows - 1)
         for axis, count in enumerate(widths, 2):
             across = np.clip((positions[:, axis] / scene.domain.size[axis] * count).astype(np.int64), 0, count - 1)
             index = index * count + across

@@ -134,9 +134,12 @@ class TabulatedSettings(ObservationSettings):
         """The unit of lengths in its table [m]."""
         return 1.0
 
-    def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
+    def table(
+        self, path: Path, needed: Sequence[str], optional: Sequence[str] = (), dimension: int = 3
+    ) -> dict[str, Floats]:
         """Columns of a CSV in SI units, each of shape [R], and `optional` ones that it has. Raises InputError."""
-        table = spreadsheet.read_columns(path, needed, optional, others=True, metres=self.metres, blanks=self.blanks)
+        described: dict[str, Any] = {"metres": self.metres, "blanks": self.blanks, "dimension": dimension}
+        table = spreadsheet.read_columns(path, needed, optional, others=True, **described)
         if len(table[needed[0]]) < 2:
             raise InputError(f"expected the columns {' and '.join(needed)} and at least two rows", where=str(path))
         factors = {name: 1.0 if name in spreadsheet.UNITS else self.metres for name in table}
@@ -146,7 +149,8 @@ class TabulatedSettings(ObservationSettings):
         if self.csv is None:
             return super().read(scene, folder, released)
         path = folder / self.csv
-        table = self.table(path, [name for name in self.columns if name not in self.optional], self.optional)
+        needed = [name for name in self.columns if name not in self.optional]
+        table = self.table(path, needed, self.optional, scene.dimension)
         numbers: dict[str, Any] = {self.columns[name]: tuple(column.tolist()) for name, column in table.items()}
         try:
             read = replace(self, csv=None, **numbers).in_box(scene.domain.corner, [*numbers])

@@ -60,6 +60,7 @@ BOUNDED = {FRICTION: "friction, in (0, 90) degrees", THICKNESS: "thickness, abov
 BOUNDED |= {BED: "coefficient, of at least 0"}
 """Quantities that are impossible beyond some values."""
 MOST_ZONES = 1000
+NEARLY = 1.0e-6  # part of a raster's cell that counts as none
 DIGITS, UNEVEN = 9, 1.0e-7
 """Decimals of a coefficient at the posts of a terrain; increment of one post if all would have the same value."""
 
@@ -73,7 +74,7 @@ class UnknownField:
         """folder: to which the path of a raster of zones is relative."""
         self.settings, self.in_plan = settings, settings.quantity in (THICKNESS, BED)
         spacing, lengths, self.mean, deviation = checked(settings, scene)
-        self.zones = None if settings.zones is None else Zones(folder / settings.zones, scene)
+        self.zones = None if settings.zones is None else Zones(folder / settings.zones, scene, self.posts(scene))
         if self.zones is not None:
             self.grid, lengths = Grid((0.0,), (1.0,), (len(self.zones.numbers),)), ()
         else:
@@ -204,7 +205,8 @@ class UnknownField:
         return replace(scene, fields=(*others, field))
 
     def truth(self, scene: Scene) -> Floats | None:
-        """The field of `scene` itself at the nodes, for a zone the mean over its posts, [K]; None without a field."""
+        """The field of `scene` itself at the nodes, for a zone the mean over its posts, NaN without posts, [K]; None
+        without a field."""
         settings = self.settings
         if settings.solid is None:
             of_this = settings.quantity, settings.mass
@@ -214,7 +216,8 @@ class UnknownField:
         if self.zones is None:
             return interpolated(axes, friction, self.grid.positions)
         weights = self.weights(posts := self.posts(scene))
-        return np.asarray(weights.T @ interpolated(axes, friction, posts) / weights.sum(axis=0))
+        sums, counts = weights.T @ interpolated(axes, friction, posts), weights.sum(axis=0)
+        return np.asarray(np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0.0))
 
     def at_nodes(
         self, gradient: "Gradient", values: Floats, explicit: Floats, slopes_by_name: dict[str, Any]
@@ -269,26 +272,34 @@ class UnknownField:
 class Zones:
     """Zones of a terrain, by a raster of their numbers. Raises InputError."""
 
-    def __init__(self, path: Path, scene: Scene) -> None:
+    def __init__(self, path: Path, scene: Scene, posts: Floats) -> None:
+        """posts: places in plan of the heights of the terrain [m], [N, 2]; those in the box need a zone."""
         # Imported here: it takes half a second, which problems without rasters do not need.
         from datasets.exchange.rasters import read_raster, same_system
         from datasets.maps import map_corner
 
         raster, (corner, crs) = read_raster(path, coefficients=True), map_corner(scene)
-        self.axes = [axis - low for axis, low in zip((raster.x, raster.z), corner, strict=True)]
+        self.first, self.spacing = np.subtract((raster.x[0], raster.z[0]), corner), np.array(raster.spacing)
         self.numbers, which = np.unique(raster.values, return_inverse=True)  # of the zones, ascending, shape [K]
         with naming(path):
             require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
             whole = bool(np.isfinite(self.numbers).all() and (self.numbers == np.round(self.numbers)).all())
             require(whole, "", "the whole number of a zone in every cell", "others")
             require(len(self.numbers) <= MOST_ZONES, "", f"at most {MOST_ZONES} zones", len(self.numbers))
-        self.which = which.reshape(raster.values.shape)
+            self.which = which.reshape(raster.values.shape)
+            needed = np.clip(posts, 0.0, scene.domain.size[::2]) + corner
+            ends = needed.min(axis=0), needed.max(axis=0)
+            covered = np.array(raster.corner), raster.corner + self.spacing * self.which.shape
+            beyond = np.maximum(covered[0] - ends[0], ends[1] - covered[1])
+            box, got = ("x, z of {:.10g}, {:.10g} to {:.10g}, {:.10g} m".format(*a, *b) for a, b in (ends, covered))
+            whole = bool((beyond <= (0.5 + NEARLY) * self.spacing).all())
+            require(whole, "", f"zones over the terrain in the box, {box}, or to half a cell of it", got)
 
     def weights(self, plan: Floats) -> Any:
         """Sparse [N, K]: 1 for the zone of the raster cell nearest to each place [m], [N, 2]."""
-        columns = zip(plan.T, self.axes, strict=True)
-        steps = [(np.rint((places - axis[0]) / (axis[1] - axis[0])), len(axis) - 1) for places, axis in columns]
-        nearest = tuple(np.clip(step, 0, last).astype(int) for step, last in steps)
+        # A tie goes up. To even numbers, posts on the edges of cells would leave out every second column.
+        cells = np.floor((plan - self.first) / self.spacing + 0.5 + NEARLY)
+        nearest = tuple(np.clip(cells, 0, np.array(self.which.shape) - 1).astype(int).T)
         ones = np.ones(len(plan)), (np.arange(len(plan)), self.which[nearest])
         return sparse.csr_array(ones, (len(plan), len(self.numbers)))
 

@@ -97,6 +97,7 @@ def test_the_volume_of_a_field_of_thickness_is_its_integral() -> None:
     [
         ({"values": (0.1,) * 8 + (0.0,)}, "fields[0].values: expected thicknesses above 0 m"),
         ({"values": (0.4,) * 9}, "fields[0].values: expected a layer below the top of the box"),
+        ({"origin": (9.0, 0.1)}, "fields[0].origin: expected places that reach into the box, 0 to 0.8 m, got 9 to 9.2"),
         ({"nodes": (3, 3, 1), "origin": (0.0,) * 3, "spacing": (0.1,) * 3}, "fields[0].origin"),
     ],
 )
@@ -144,6 +145,31 @@ def test_what_the_unknown_fields_are(path: str) -> None:
 def test_mistakes_are_named(path: str, before: str, after: str, said: str) -> None:
     Path(path).write_text(PROBLEM.replace(before, after, 1))
     refused(read_problem, path, said=said)
+
+
+def test_a_post_on_the_edge_of_two_cells_belongs_to_the_upper_one(path: str) -> None:
+    """Posts from -0.2 m on, every 0.2 m, at the edges of cells: no column is left out. No post lies in zone 5."""
+    rows = "1 2 1 2 1 2 1 2 5\n" * 5
+    text = f"ncols 9\nnrows 5\nxllcorner -0.2\nyllcorner -0.2\ncellsize 0.2\n{rows}"
+    (Path(path).parent / "zones.asc").write_text(text)
+    bed = read_problem(path).fields[1]
+    shown = bed.weights(bed.posts(SCENE)).toarray().argmax(axis=1).reshape(7, 7)
+    np.testing.assert_array_equal(shown[:, 3], [0, 1, 0, 1, 0, 1, 0])
+    truth = bed.truth(SCENE)
+    np.testing.assert_allclose(truth[:2], [np.mean(FRICTIONS[0::2]), np.mean(FRICTIONS[1::2])])
+    assert np.isnan(truth[2])
+
+
+def test_zones_lie_over_the_terrain_in_the_box(path: str) -> None:
+    """To half a cell of it, as a raster whose cells have the posts at their middles; one cell may be enough."""
+    file, single = Path(path).parent / "zones.asc", "ncols 1\nnrows 1\nxllcorner 0\nyllcorner 0\ncellsize 0.8\n7\n"
+    for text in (ZONES.replace("corner 0", "corner 0.2"), single):
+        file.write_text(text)
+        assert read_problem(path).fields[1].inside.any()
+    for x in (-0.21, 0.21, 1e5):
+        file.write_text(ZONES.replace("xllcorner 0", f"xllcorner {x}"))
+        said = f"x, z of 0, 0 to 0.8, 0.6 m, or to half a cell of it, got x, z of {x:.10g}, 0"
+        refused(read_problem, path, said=f"zones.asc: expected zones over the terrain in the box, {said}")
 
 
 def test_zones_are_whole_numbers(path: str) -> None:

@@ -214,7 +214,8 @@ def test_the_table_is_no_lower_than_a_pool_that_stands_on_it(table: dict[str, An
 
 def test_tables_that_are_none_are_refused() -> None:
     rising = (0.0, 0.1), (1.0, 0.2)
-    for wrong in (Water(level=0.1, table=rising), Water(table=rising[::-1]), Water(table=rising[:1])):
+    tables = rising[::-1], rising[:1], ((5.0, 0.1), (6.0, 0.2))
+    for wrong in (Water(level=0.1, table=rising), *(Water(table=table) for table in tables)):
         assert refused(wet_scene, water=wrong).key == "water.table"
     assert refused(wet_scene, water=Water(origin=(0.0, 0.0))).key == "water.origin"
     assert refused(simulate, wet_scene(water=Water(pool=0.1))).key == "water.pool"

@@ -38,6 +38,15 @@ def test_an_inversion_shows_its_answer_over_what_was_observed(tmp_path: Path) ->
     assert head["observed"] == {"front": 0.25, **profile}
 
 
+def test_a_folder_to_which_nobody_may_write_needs_another_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toy(2).save(tmp_path / "trajectory.npz")
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path) != tmp_path)
+    assert f"{tmp_path}: --out: expected a folder to write to" in refused_by(capsys, command, tmp_path)
+    assert run(command, "view", [str(tmp_path), "--out", str(tmp_path / "pages" / "view.html")]) == 0
+
+
 def test_a_mistake_is_one_line_that_names_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     toy(2).save(tmp_path / "flat.npz")
     toy(3).save(tmp_path / "deep.npz")

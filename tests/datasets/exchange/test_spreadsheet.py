@@ -75,6 +75,24 @@ def test_what_is_no_unit_of_a_pressure_is_refused_with_those_that_are(tmp_path: 
         refused(read_columns, path, ("time", "pressure"), said=said)
 
 
+@pytest.mark.filterwarnings("ignore:.*read with")
+@pytest.mark.parametrize(
+    ("name", "units"),
+    [
+        ("discharge", {"m2/s": (2, 1.0), "m²/s": (2, 1.0), "m3/s": (3, 1.0), "m³/s": (3, 1.0), "l/s": (3, 0.001)}),
+        ("impulse", {"N s/m": (2, 1.0), "kN s/m": (2, 1e3), "N s": (3, 1.0), "kNs": (3, 1e3)}),
+    ],
+)
+def test_units_in_2d_are_per_metre_of_width(tmp_path: Path, name: str, units: dict[str, tuple[int, float]]) -> None:
+    path = tmp_path / "table.csv"
+    for unit, (dimension, factor) in units.items():
+        path.write_text(f"time,{name} [{unit}]\n0,2\n", encoding="utf-8")
+        assert read_columns(path, ("time", name), dimension=dimension)[name] == pytest.approx([2.0 * factor])
+        said = f"per metre of width in 2D, got {name} [{unit}]"
+        said = said if dimension == 3 else f"of the whole width in 3D, got {name} [{unit}]"
+        refused(read_columns, path, ("time", name), dimension=5 - dimension, said=said)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -34,6 +34,13 @@ def test_each_format_has_the_polygons_and_their_attributes(tmp_path: Path, name:
         assert [feature.attributes["thickness"] for feature in features] == [1.5, 1.5]
 
 
+def test_a_collection_has_the_polygons_of_its_collections(tmp_path: Path) -> None:
+    point = shapely.Point(2_600_000.0, 1_200_000.0)
+    nested = shapely.GeometryCollection([shapely.GeometryCollection([PAIR, point]), FIELD])
+    features = read_polygons(written(tmp_path / "field.geojson", nested), SWISS)
+    assert [feature.polygon.area for feature in features] == pytest.approx([1200.0, 100.0, 1200.0])
+
+
 def test_the_polygons_of_one_layer(tmp_path: Path) -> None:
     """Whatever else the file holds; of several with polygons the one that is named as in QGIS."""
     path, point = tmp_path / "project.gpkg", shapely.Point(2_600_000.0, 1_200_000.0)

@@ -117,7 +117,7 @@ file = "hydrograph.csv"
 
 
 def test_a_hydrograph_from_a_spreadsheet_in_map_coordinates_is_written_and_read_again(tmp_path: Path) -> None:
-    path, table = tmp_path / "scene.toml", "time [s];discharge [l/s];speed [m/s]\n0;0;1,0\n1;400;1,0\n2;0;1,0\n"
+    path, table = tmp_path / "scene.toml", "time [s];discharge [l/s/m];speed [m/s]\n0;0;1,0\n1;400;1,0\n2;0;1,0\n"
     path.write_text(TOML)
     (tmp_path / "hydrograph.csv").write_text(table)
     with pytest.warns(UserWarning, match="decimal commas"):

@@ -118,6 +118,14 @@ def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None
     assert np.abs(equivalent.exact(deposit) - exact).max() > 0.02
 
 
+def test_a_lattice_between_the_stations_has_a_surface_at_each(tmp_path: Path) -> None:
+    observation = measured(tmp_path, heights=Heights.SURFACE).operators[0]
+    between = (0.5 * (observation.fine[1:] + observation.fine[:-1])).astype(np.float32)
+    layer = np.stack([between, np.full_like(between, 0.1)], axis=1)
+    heights = observation.heights(layer)[1:]
+    np.testing.assert_allclose(heights, 0.1, rtol=1e-6)
+
+
 def test_elevations_over_terrain_are_heights_above_it(tmp_path: Path) -> None:
     plain = measured(tmp_path, heights=Heights.SURFACE)
     line = Solid(kind="terrain", points=((0.0, 0.3), (1.0, 0.1)), friction=0.4)

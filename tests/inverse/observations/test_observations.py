@@ -272,6 +272,14 @@ def test_the_impulse_is_that_of_the_solid() -> None:
     refused(once.observe, dataclasses.replace(run, solid_impulse=None), said="solid 0")
 
 
+def test_impulses_and_forces_in_2d_are_per_metre_of_width(tmp_path: Path) -> None:
+    units = [settings.operator(BAFFLED).unit for settings in (ImpulseSettings(), PeakForceSettings(window=0.1))]
+    assert units == ["N s/m", "N/m"]
+    (tmp_path / "table.csv").write_text("time,impulse [N s]\n0.5,1\n1.0,2\n")
+    read = ImpulseSettings(csv="table.csv", noise=0.1).read
+    refused(read, BAFFLED, tmp_path, (0.0, 1.0), said="per metre of width in 2D, got impulse [N s]")
+
+
 def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
     scene = scene_of(Mass(lower=(0.4, 0.0, 0.4), size=(0.2, 0.2, 0.2)), size=(1.0, 0.5, 1.0), cell=0.05)
     outline = OutlineSettings(directions_deg=(0.0, 90.0, 180.0, 270.0)).operator(scene)

@@ -1,6 +1,7 @@
 """Thickness in plan: layers of known thickness on planes, whatever the raster and its place on the map."""
 
 import dataclasses
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import torch
 
 from datasets import Domain, Mass, Scene, Solid, Trajectory
 from datasets.exchange.rasters import write_raster
-from datasets.maps import KINDS, maps_of
+from datasets.maps import KINDS, maps_of, region_above, write_outlines
 from inverse.observations import OutlineSettings, ThicknessSettings, plan
 from inverse.observations.outline import Boundary
 from inverse.problem import read_problem
@@ -233,6 +234,61 @@ def test_our_own_outline_is_compared_at_its_own_threshold(tmp_path: Path) -> Non
     refused(wrong.read, made, tmp_path, ANY, said="thickness: expected one of the file's, 0.05, 0.08, got 0.07")
     with pytest.warns(UserWarning, match="the model's outline is where it is 0.1 m thick"):
         OutlineSettings(file="other.gpkg", noise=0.05).read(made, tmp_path, ANY)
+
+
+@pytest.mark.parametrize("suffix", ["geojson", "shp"])
+@pytest.mark.parametrize(
+    ("levels", "said"),
+    [
+        ((None, None), ""),
+        (("", "0.08"), "a threshold_m above 0 m of each deposit, or of none, got one without"),
+        ((np.nan, 0.08), "a threshold_m above 0 m of each deposit, or of none, got one without"),
+        (("0.08", "0.08"), 0.08),
+        ((0.08, 0.08), 0.08),
+        (("0.5 m", "0.08"), "a number [m] in the attribute threshold_m or threshold_, got 0.5 m"),
+        ((-1.0, 0.08), "a number [m] in the attribute threshold_m or threshold_, got -1.0"),
+    ],
+)
+def test_thresholds_of_an_edited_file(tmp_path: Path, suffix: str, levels: tuple[object, ...], said: object) -> None:
+    """A shapefile cuts the name of the attribute; NULL is no threshold."""
+    made, corner = scene(origin=True), np.array(CORNER)
+    boxes = [shapely.transform(shapely.box(x, 1.0, x + 1.0, 3.0), corner.__add__) for x in (0.5, 2.0, 3.0)]
+    levels = (*levels, levels[1])
+    column = np.array(levels, object if isinstance(levels[1], str | None) else float)
+    columns = [np.array(["Deposit", "deposit", "release"], object), column]
+    path = tmp_path / f"own.{suffix}"
+    names = ["name", "threshold_m"[: 10 if suffix == "shp" else None]]
+    pyogrio.raw.write(path, shapely.to_wkb(boxes), columns, names, geometry_type="Polygon", crs="EPSG:2056")
+    settings = OutlineSettings(file=path.name, noise=0.05)
+    if isinstance(said, str) and said:
+        refused(settings.read, made, tmp_path, ANY, said=said)
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore" if said == "" else "error")
+        operator = settings.read(made, tmp_path, ANY).observation
+    assert operator.thickness == (said or 0.1)
+    assert operator.region.area == pytest.approx(4.0)
+
+
+def test_the_outline_of_a_run_fits_this_run(tmp_path: Path) -> None:
+    """Stray particles, whose island is below a twentieth of the deposit, count neither in it nor in its outline."""
+    made, rows = scene(), [disc(scene(), 1.0), disc(scene(), 0.15, (3.5, 3.5))]
+    run = flow_of(made, np.concatenate([row.positions for row in rows], axis=1))
+    run = dataclasses.replace(run, volume=np.concatenate([row.volumes for row in rows]))
+    maps = maps_of(run, 0.2, threshold=0.05)
+    region = region_above(maps.grid, maps.thickness, 0.05)
+    assert len(region.geoms) == 2
+    write_outlines(tmp_path / "outline.geojson", maps, {("deposit", 0.05): region})
+    with pytest.warns(UserWarning, match="parts smaller than 5% of the largest do not count, as those of the model: 1"):
+        target = OutlineSettings(file="outline.geojson", noise=0.05).read(made, tmp_path, ANY)
+    np.testing.assert_allclose(target.observation.observe(run), 0.0, atol=1e-6)
+
+
+def test_points_lie_along_the_boundary_by_its_length() -> None:
+    hole = [(1.0, 1.0), (1.01, 1.0), (1.01, 1.01), (1.0, 1.01)]
+    boundary = Boundary(scene(), shapely.Polygon([(0.5, 0.5), (2.5, 0.5), (2.5, 2.5), (0.5, 2.5)], [hole]))
+    assert boundary.count == len(boundary.points) == 20
+    np.testing.assert_allclose(shapely.distance(boundary.points, shapely.box(0.5, 0.5, 2.5, 2.5).boundary), 0.0)
 
 
 def test_the_slope_of_a_distance_is_that_of_the_boundary() -> None:

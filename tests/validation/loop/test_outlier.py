@@ -136,6 +136,12 @@ def test_an_observation_in_another_unit_is_asked_for(tmp_path: Path) -> None:
     assert other_units(result) == []
     kilometres = replace(result, target=replace(result.target, values=1e-3 * result.target.values))
     assert other_units(kilometres) == ["check the unit of front: it is 0.001 times that of the MPM runs"]
+    scene = result.problem.scene
+    zero = replace(result, target=replace(result.target, values=0.0 * result.target.values))
+    runs = [replace(run, numbers=0.0 * run.numbers) for run in result.mpm_runs]
+    share = replace(kilometres, target=replace(kilometres.target, observation=PassedSettings(line=0.4).operator(scene)))
+    for other in (zero, replace(result, mpm_runs=runs), share):
+        assert other_units(other) == []
 
 
 def test_of_two_numbers_that_contradict_each_other_none_is_named(tmp_path: Path) -> None:
