@@ -11,13 +11,13 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from datasets.errors import InputError, WorkFailed
 from datasets.processes import Terminated, terminable
 
 if TYPE_CHECKING:
-    from cyclopts import App
+    from cyclopts import App, Token
 
 Commands = Mapping[str, tuple[str, str]]
 """Name -> MODULE:FUNCTION, or MODULE:TABLE of further commands; and a description."""
@@ -79,11 +79,12 @@ def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[s
 
 def application(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[str]) -> "App":
     """A command, or a table of commands, as a cyclopts application; from a table it imports only the named command."""
-    from cyclopts import App
+    from cyclopts import App, Parameter
 
     # Talus handles Ctrl-C itself: cyclopts would exit silently with its own status.
     text = "" if isinstance(command, Mapping) else command.__doc__
-    app = App(name=name, help=text, version_flags=[], suppress_keyboard_interrupt=False)
+    whole = Parameter(converter=converted)
+    app = App(name=name, help=text, version_flags=[], suppress_keyboard_interrupt=False, default_parameter=whole)
     if not isinstance(command, Mapping):
         app.default(command)
         return app
@@ -94,6 +95,16 @@ def application(command: Callable[..., Any] | Commands, name: str, arguments: Se
         else:
             app.command(lambda: None, name=key, help=what)
     return app
+
+
+def converted(kind: Any, tokens: "Sequence[Token]") -> Any:
+    """The value of a flag. Raises ValueError for a fraction where an integer is expected: cyclopts would round it."""
+    from cyclopts import convert
+
+    for token in tokens if int in (kind, *get_args(kind)) else ():
+        if "." in token.value:
+            raise ValueError(f"expected an integer, got {token.value}")
+    return convert(kind, tokens)
 
 
 def disk_failed(error: BaseException) -> bool:

@@ -12,6 +12,7 @@ Positive = Annotated[float, Bounds("a positive number", gt=0.0)]
 NotNegative = Annotated[float, Bounds("a number of at least 0", ge=0.0)]
 Count = Annotated[int, Bounds("an integer of at least 1", ge=1)]
 Steps = Annotated[int, Bounds("an integer of 1 to 100", ge=1, le=100)]
+SEED = Bounds("an integer from 0 to 2^62", ge=0, le=2**62)
 Layers = Annotated[int, Bounds("a number of 0 to 100", ge=0, le=100)]
 
 

@@ -35,7 +35,7 @@ def main(
 
     Writes OUT/best.safetensors, its card OUT/best.json with scores and bands on held-out flows, and OUT/data. Use the
     model with --model OUT in `validation.loop`, `inverse` and `gns.rollout`. Running the same command again resumes an
-    interrupted adaptation.
+    interrupted adaptation; with more --runs or another --model, the training begins anew.
 
     Args:
         problem: Path of a problem in TOML, or the name of a shipped one.

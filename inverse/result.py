@@ -55,6 +55,8 @@ class Result:
     fields: tuple[FieldPosterior, ...] = ()
     notes: tuple[str, ...] = ()
     """Notes on the uncertainty, in sentences."""
+    remark: str = ""
+    """An error that the intervals do not include, and why."""
     surrogate: dict[str, Any] | None = None
     """Whether a learned surrogate was used, and why."""
     seconds: dict[str, float] = field(default_factory=dict)
@@ -123,8 +125,8 @@ class Result:
 
     @property
     def remarks(self) -> list[str]:
-        """Caveats on the flow that checks the first answer (`mpm.output.outcome.caveats`), whether it drains, and where
-        it lies if that is not at the answer."""
+        """Caveats on the flow that checks the first answer (`mpm.output.outcome.caveats`), whether it drains, where it
+        lies if that is not at the answer, and which error the intervals do not include."""
         answer = self.answers[0]
         if not answer.checks:
             return []
@@ -132,7 +134,7 @@ class Result:
         at = zip(self.problem.numbers, checked.tolist(), strict=True)
         place = ", ".join(f"{number.name} = {number.kind.text(value)}" for number, value in at)
         far = [] if answer.near else [f"they are at {place}"]
-        return [*far, *summary.get("remarks", []), *filter(None, [summary.get("drainage")])]
+        return [*far, *summary.get("remarks", []), *filter(None, [summary.get("drainage"), self.remark])]
 
     @property
     def scene(self) -> Scene:

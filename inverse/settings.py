@@ -114,7 +114,7 @@ class LoopSettings(Record):
     """The budget of MPM runs (`validation.loop`)."""
 
     mpm_runs: Annotated[int | None, counted(1)] = None
-    """Largest number of MPM runs on the problem's cells, by default 40 plus 12 for each unknown. Four runs on other
+    """Largest number of MPM runs on the problem's cells, by default 40 plus 12 for each unknown. Runs on other
     cells (unless the target is a flow on the same cells) and the runs of a coarse surrogate do not count."""
 
     def budget(self, unknowns: int) -> int:

@@ -6,13 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from cyclopts.types import NonNegativeInt
 
 from datasets.command_line import run
 
 ANGLES_DEG = (18.0, 42.0)  # range from which the friction angle is drawn
 
 
-def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path | None = None) -> None:
+def main(*, out: Path = Path("out/demo"), seed: NonNegativeInt | None = None, model: Path | None = None) -> None:
     """Draw a friction angle, let the MPM make a front with it, and find the angle again from that front.
 
     Writes OUT/result.json, OUT/report.md, pictures and OUT/mpm.

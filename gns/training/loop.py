@@ -8,6 +8,7 @@ Several processes (`torchrun --nproc-per-node N -m gns.train ...`) draw their ow
 gradients, which `DistributedDataParallel` takes if a model is called as a module.
 """
 
+import hashlib
 import io
 import math
 import os
@@ -40,7 +41,7 @@ from gns.checkpoint import Model
 from gns.library import BEST
 from gns.network.correction import Correction
 from gns.score import evaluate, table, validation_score
-from gns.settings import ModelSettings, TrainingSettings
+from gns.settings import SEED, ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.training.losses import EndLoss, UnrolledLoss
 from gns.training.samples import Flow, Flows, Rollouts, Sampler, flows_of, statistics
@@ -61,6 +62,7 @@ class Position:
     rows: list[dict[str, float]] = field(default_factory=list)  # of log.csv, one per validation
     validated: list[float] = field(default_factory=list)  # time that each validation took [s]
     losses: list[float] = field(default_factory=list)  # one per update
+    data: str = ""  # digest of the flows and of the initial weights: scores of others do not compare (`digest`)
 
     def progress(self, training: TrainingSettings) -> float:
         """Share of the budget that is spent, in [0, 1]."""
@@ -97,10 +99,13 @@ def fit(
     training: TrainingSettings,
     begin: Model | None = None,
     resume: bool = False,
+    anew: bool = False,
     seed: int = 0,
     device: str | None = None,
 ) -> None:
-    """Train a model, as `gns.train`. Raises InputError, WorkFailed and KeyboardInterrupt."""
+    """Train a model, as `gns.train`. anew: whether to begin anew where the run to resume had other flows or other
+    initial weights, which otherwise raises InputError. Raises InputError, WorkFailed and KeyboardInterrupt."""
+    require(SEED.hold(seed), "--seed", SEED.expected, seed)
     if resume and not (out / LAST).exists():
         raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
     if not resume and (out / LAST).exists():
@@ -117,10 +122,11 @@ def fit(
         for path, some in zip(datasets, flows, strict=True):
             # Folders of the same name are parts of one dataset.
             scenes.setdefault(path.name, []).extend(flow.scene for flow in some)
+        data = digest([*scenes.values(), [flow.scene for flow in valid]], begin)
         simulator = untrained(model, flows) if begin is None else continued(begin, model, training)
-        run = TrainingRun(simulator.to(where), flows, training, out, seed)
+        run = TrainingRun(simulator.to(where), flows, training, out, seed, data)
         if resume:
-            run.restore()
+            run.restore(anew=anew)
         provenance = {"command": invocation(), "seed": seed, "begin": begin and begin.provenance}
         provenance |= {"datasets": [str(path) for path in datasets], "training": asdict(training)}
         position, bar = run.position, stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not first))
@@ -132,7 +138,8 @@ def fit(
             # The first process decides, so that all unroll the same steps; if one stops, all stop.
             wanted = position.due(training) or (baseline and not position.rows)
             progress, due, stops = sums(first * position.progress(training), first and wanted, stop())
-            if stops or (progress >= 1.0 and not due):
+            # However short the time, a training leaves a model.
+            if stops or (progress >= 1.0 and not due and position.updates):
                 break
             if not due:
                 run.update(progress)
@@ -167,7 +174,7 @@ class TrainingRun:
     """A training: the model and its average, the samples and their loss, the optimisers, and the position."""
 
     def __init__(
-        self, simulator: Simulator, flows: Sequence[Flows], training: TrainingSettings, out: Path, seed: int
+        self, simulator: Simulator, flows: Sequence[Flows], training: TrainingSettings, out: Path, seed: int, data: str
     ) -> None:
         self.simulator, self.training, self.out, self.seed = simulator, training, out, seed
         self.average: Any = AveragedModel(simulator, avg_fn=partial(averaged, training.average))
@@ -184,7 +191,7 @@ class TrainingRun:
         adam = torch.optim.Adam([weight for weight in self.free if weight.dim() != 2])
         self.optimisers: tuple[torch.optim.Optimizer, ...] = muon, adam
         self.parts: dict[str, Any] = {"weights": simulator, "average": self.average, "muon": muon, "adam": adam}
-        self.position = Position()
+        self.position = Position(data=data)
 
     def steps(self, progress: float) -> int:
         unrolled = self.training.unroll
@@ -236,15 +243,27 @@ class TrainingRun:
         with files.replacing(self.out / LAST) as unfinished:
             unfinished.write_bytes(content.getbuffer())
 
-    def restore(self) -> None:
-        """Continue from the saved run in `out`. Raises InputError."""
+    def restore(self, *, anew: bool) -> None:
+        """Continue from the saved run in `out`; anew: as for `fit`. Raises InputError."""
         with reading(self.out / LAST, f"the {LAST} of a run of these settings"):
             saved = torch.load(self.out / LAST, map_location="cpu", weights_only=True)
+            if saved["position"].get("data", self.position.data) != self.position.data:
+                if anew:
+                    return
+                instead = f"another --out with --begin {self.out / BEST} trains on others"
+                raise InputError(f"expected the flows and the --begin that the run was begun with; {instead}")
             if saved["settings"] != asdict(self.simulator.settings):
                 raise InputError("expected the model settings that the run was begun with")
             for name, part in self.parts.items():
                 part.load_state_dict(saved[name])
             self.position = Position(**saved["position"])
+
+
+def digest(scenes: Sequence[Sequence[Scene]], begin: Model | None) -> str:
+    """A digest of the scenes of a training, by dataset, and of the weights that it begins with."""
+    weights = {} if begin is None else begin.simulator.state_dict()
+    parts = repr(scenes).encode(), *(weight.numpy().tobytes() for weight in weights.values())
+    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def draw(path: Path, position: Position) -> None:

@@ -67,6 +67,7 @@ def command(scene: str, *, out: Path, count: int = 1) -> int | None:
         (["good"], 2, "--out"),
         (["good", "--out", "x", "--cuont", "3"], 2, "--count"),
         (["good", "--out", "x", "--count", "few"], 2, "few"),
+        (["good", "--out", "x", "--count", "8.5"], 2, "expected an integer, got 8.5"),
     ],
 )
 def test_exit_status(arguments: list[str], status: int, line: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,10 +2,12 @@
 
 import dataclasses
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
 from datasets import Trajectory
 from datasets.definitions.definition import Split
@@ -16,10 +18,11 @@ from gns.surroundings.units import Units
 from gns.training.samples import flows_of
 from inverse import Parameter
 from inverse.adapt import main
-from inverse.adaptation import DATA, adapt, definition, deposits
+from inverse.adaptation import DATA, adapt, definition, deposits, scatter
 from tests.inverse.flows import problem_of, simulator_of
 from tests.pool import pool
 from tests.refusals import refused, refused_by
+from tests.scenes import flow_of
 
 NAMES = ("friction_deg", "masses[0].velocity_x")
 
@@ -116,6 +119,30 @@ def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, weights: 
         refused(adapt, asked, adapted, runs=7, model=weights, said=message)
 
 
+def test_more_runs_begin_the_training_anew(
+    adapted: Path, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model of seven runs is not kept for its scores on other held-out flows."""
+    out = shutil.copytree(adapted, tmp_path / "run")
+    monkeypatch.setattr("mpm.generate.pool", pool)
+    adapt(problem_of(2, *NAMES), out, runs=9, minutes=0.01, model=weights, jobs=1)
+    assert [data.scenes for data in card.read(model_path(out)).datasets.values()] == [7]
+
+
+@pytest.mark.parametrize("true", [0.003, 0.02])
+def test_the_scatter_of_fronts_is_stated_if_the_runs_show_it(true: float) -> None:
+    """Fronts that bend by a tenth of the extent over two unknowns; with eight runs, the bend would count as scatter."""
+    problem, rng = problem_of(2, *NAMES), np.random.default_rng(0)
+    points = qmc.Sobol(2, rng=rng).random(64)
+    fronts = 1.0 + points @ [0.3, -0.2] + 0.4 * (points[:, 0] - 0.5) ** 2 + true * rng.normal(size=64)
+    flows = [flow_of(problem.scene, np.linspace([[0.0, 0.0]], [[x, 0.0]], 999, axis=1)) for x in fronts]
+    runs = list(zip(problem.box.at(points), flows, strict=True))
+    assert scatter(runs[:8], problem) == ""
+    stated = re.fullmatch(r", whose fronts scatter by ([\d.]+) %", scatter(runs, problem))
+    assert stated is not None
+    assert float(stated[1]) == pytest.approx(100.0 * true, rel=0.3)
+
+
 @pytest.mark.slow
 def test_the_same_call_again_makes_what_is_missing(adapted: Path, weights: Path) -> None:
     before = model_path(adapted).read_bytes()
@@ -132,6 +159,8 @@ def test_the_same_call_again_makes_what_is_missing(adapted: Path, weights: Path)
     [
         (["slope-friction", "--runs", "5"], "unknowns: expected numbers, a surrogate knows no fields"),
         (["friction-tall-42", "--runs", "5"], "--runs: expected at least 7 runs"),
+        (["friction-tall-42", "--seed", "-1"], "--seed: expected an integer from 0 to 2^62, got -1"),
+        (["friction-tall-42", "--jobs", "0"], "--jobs: expected at least 1 job"),
         (["friction-tall-42", "--minutes", "0"], "minutes: expected a positive number"),
     ],
 )
@@ -139,3 +168,4 @@ def test_wrong_input_ends_in_a_line(
     arguments: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert expected in refused_by(capsys, main, *arguments, "--out", tmp_path / "run")
+    assert not (tmp_path / "run").exists()

@@ -36,7 +36,7 @@ from datasets.scene.particles import initial_particles
 from inverse.parameters import with_parameters
 from inverse.search.waves import jitter_seed
 from mpm import ALL, LAST, Recording
-from validation.loop.verdict import other_cells
+from validation.loop.verdict import WITHOUT_CELLS, other_cells
 from validation.run_store import RunStore, caveats
 
 PEAKS = "peaks"  # key of a run's summary for the largest values of all frames: see `with_peaks`
@@ -57,7 +57,7 @@ class Forecast:
     stations: Floats  # x of the profile [m], in map coordinates if the box of the scene has an origin, shape [X]
     profiles: Floats  # height of the deposit at its initial density [m], in 3D the mean over the width, shape [S, X]
     cells: Mapping[str, float] = field(default_factory=dict)
-    """d of each number, by its name; empty if the box does not divide into other cells."""
+    """d of each number, by its name; empty if runs on other cells need too much memory."""
     model_error: float = 0.0  # r [-]
     maps: PlanMaps | None = None  # in 3D the maps of the last draw, whose grid the maps below share
     covered: Mapping[str, Floats] = field(default_factory=dict)
@@ -126,6 +126,7 @@ def predicted(
     flows = store(scenes, record=recording_of(scene))
     numbers, stations = [numbers_of(flow) for flow in flows], profile_stations(scene, scene.domain.cell)
     released, corner = initial_particles(scene), float(scene.domain.corner[0])
+    cells, missing = cells_error(scene, names, np.median(samples, axis=0), store)
     maps: PlanMaps | None = None
     covered: dict[str, Floats] = {}
     for flow in flows if scene.dimension == 3 else ():
@@ -143,11 +144,11 @@ def predicted(
         start=corner + front(released.positions, released.volume),
         stations=corner + stations,
         profiles=np.stack([profile_of(flow, stations) for flow in flows]),
-        cells=cells_error(scene, names, np.median(samples, axis=0), store),
+        cells=cells,
         model_error=model_error,
         maps=maps,
         covered=covered,
-        remarks=(*remarks, *caveats(flows), *filter(None, [flows[0].summary.get("drainage")])),
+        remarks=(*remarks, *caveats(flows), *filter(None, [flows[0].summary.get("drainage"), missing])),
     )
 
 
@@ -215,18 +216,19 @@ def profile_of(flow: Trajectory, stations: Floats) -> Floats:
     return height_profile(flow.positions[-1][inside], flow.volumes[inside], stations) / width
 
 
-def cells_error(scene: Scene, names: Sequence[str], median: Floats, store: RunStore) -> dict[str, float]:
-    """d of each number, from runs at the medians; empty if the box does not divide into other cells."""
-    edge = scene.domain.cell
+def cells_error(scene: Scene, names: Sequence[str], median: Floats, store: RunStore) -> tuple[dict[str, float], str]:
+    """d of each number, from runs at the medians; if there is none, why."""
+    edge, reasons = scene.domain.cell, list[str]()
     for factor, runs in other_cells(scene, CHECKS).items():
         other = factor * edge
         seeds = [(edge, seed) for seed in range(CHECKS)] + [(other, seed) for seed in range(runs)]
         try:
             scenes = [at(scene.with_cell(cell), names, median, seed) for cell, seed in seeds]
             flows = [numbers_of(flow) for flow in store(scenes, record=recording_of(scene))]
-        except InputError:
+        except InputError as error:
+            reasons.append(str(error))
             continue
         parts = (flows[:CHECKS], flows[CHECKS:])
         here, there = ({name: float(np.mean([entry[name] for entry in part])) for name in part[0]} for part in parts)
-        return {name: abs(edge / (edge - other) * (here[name] - there[name])) for name in here}
-    return {}
+        return {name: abs(edge / (edge - other) * (here[name] - there[name])) for name in here}, ""
+    return {}, f"{WITHOUT_CELLS}: {'; '.join(reasons)}"

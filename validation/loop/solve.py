@@ -126,6 +126,7 @@ def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -
         iterations=waves(state),
         mpm_runs=runs,
         posterior=state.knowledge.posterior,
+        remark=outcome.remark,
         further=further(outcome),
         without=left_out(state),
         notes=(statement(state),),

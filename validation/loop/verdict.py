@@ -27,6 +27,7 @@ EXCLUDED = 1e-3
 SETTLED = 0.05  # relative change of the discrepancy factor that is too small to change the intervals
 NEGLIGIBLE = 0.1  # share of the residuals' variance below which its source does not explain a misfit
 HALF, TWICE = 0.5, 2.0  # size of the cells that measure the discretisation error, over the scene's
+WITHOUT_CELLS = "no interval includes the error of the cells"
 THIN = 2.0  # cells across a mass in 3D below which cells twice as large do not show this error
 
 
@@ -40,6 +41,8 @@ class Conclusion:
     verdict: Verdict
     cells: tuple[MpmRun, ...] = ()
     """Runs at an answer on cells of another size, which the emulator does not use."""
+    remark: str = ""
+    """Why there are none, if there should be some."""
 
 
 def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Conclusion:
@@ -47,7 +50,8 @@ def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Concl
     `checked`."""
     unreachable = is_unreachable(state.knowledge.posterior)
     state, answers = checked(state, moves=moves)
-    if cells := on_other_cells(task, answers[0]):
+    cells, remark = on_other_cells(task, answers[0])
+    if cells:
         # The error is proportional to the cell (Roache 1994); a measurement has none, a twin that of its own cells.
         cell, other = (runs[0].trajectory.scene.domain.cell for runs in (answers[0].checks, cells))
         share = (cell - (task.target.cell or 0.0)) / (cell - other)
@@ -64,7 +68,7 @@ def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Concl
     # If the MPM confirms an answer, those that it refuses are dropped.
     answers = tuple(answer for answer in answers if answer.confirmed) or answers
     verdict = judge(task.problem, answers, unreachable=unreachable)
-    return Conclusion(search=state, answers=answers, verdict=verdict, cells=cells)
+    return Conclusion(search=state, answers=answers, verdict=verdict, cells=cells, remark=remark)
 
 
 def discrepancy(state: Loop, answer: Answer) -> Fit:
@@ -208,37 +212,38 @@ def fitted(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Fit:
     return fit(knowledge.target, shown, scatter, cells=cells, extrapolated=beyond, parameters=count, slopes=slopes)
 
 
-def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
+def on_other_cells(task: Task, answer: Answer) -> tuple[tuple[MpmRun, ...], str]:
     """Runs at an answer on cells of another size (`other_cells`); none for a twin on the scene's own cells. The change
     that they show is, to first order, the error of the cells used (Roache, Perspective: a method for uniform reporting
     of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413). There are none if the observation is of single
-    particles, or if the box does not divide into such cells."""
+    particles, or if runs on smaller cells need too much memory: the second result then says so."""
     # At the place of the checks, so that the runs differ only in cell size.
     location = answer.checks[0].parameters
     scene = task.problem.scene_at(location)
     if task.target.cell == scene.domain.cell:
-        return ()
+        return (), ""
+    reasons = []
     for factor, runs in other_cells(scene, len(answer.checks)).items():
         try:
             other = task.on_cells(scene, factor)
             scenes = [replace(other, seed=check.trajectory.scene.seed) for check in answer.checks[:runs]]
-            return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
-        except InputError:
-            continue  # the box does not divide into such cells, or a run on them needs too much memory
-    return ()
+            return task.compared([location] * len(scenes), scenes, Purpose.CELLS), ""
+        except InputError as error:
+            reasons.append(str(error))  # the box does not divide into such cells, or a run on them lacks memory
+    return (), f"{WITHOUT_CELLS}: {'; '.join(reasons)}"
 
 
 def other_cells(scene: Scene, runs: int) -> dict[float, int]:
     """Sizes of the cells that show the error of the cells of `scene`, over the size of these, the best one first, each
     with the number of runs beside `runs` on the scene's cells. Half the size in 2D, twice the size in 3D, where half
-    the size costs sixteen times as much. If a mass is thinner than `THIN` cells, larger cells do not show the error:
-    for a slide a quarter of a cell thick, the change on larger cells has the other sign than the change on smaller
-    cells."""
+    the size costs sixteen times as much; a box with a side of an odd number of cells divides only into smaller ones.
+    If a mass is thinner than `THIN` cells, larger cells do not show the error: for a slide a quarter of a cell thick,
+    the change on larger cells has the other sign than the change on smaller cells."""
     thin = min(map(mean_thickness, scene.masses)) < THIN * scene.domain.cell
     if scene.dimension == 2:
         return {HALF: runs}
     # One run on half the cell size costs as much as sixteen, and scatters less.
-    return {HALF: 1, TWICE: runs} if thin else {TWICE: runs}
+    return {HALF: 1, TWICE: runs} if thin else {TWICE: runs, HALF: 1}
 
 
 def mean_thickness(mass: Mass) -> float:

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -207,6 +208,7 @@ def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path)
     [
         (["--resume"], "there is no last.pt"),
         (["--shares", "1", "--shares", "1"], "shares: expected 1 shares, one of each dataset, got 2"),
+        (["--seed", "-1"], "--seed: expected an integer from 0 to 2^62, got -1"),
         (["--minutes", "0"], "minutes: expected a positive number"),
         (["--frames-per-step", "3", "--frame-dt", "0.001"], "expected frames 0.003 s apart"),
         (["--unroll", "40"], "expected at least 40 steps of 0.01 s, got 25"),
@@ -235,6 +237,25 @@ def test_no_other_model_or_file_is_resumed(dataset: Path, tmp_path: Path, capsys
         (tmp_path / LAST).write_bytes(broken)
         assert run(dataset, tmp_path, "--updates", "2", "--resume") == 2
         assert "last.pt: expected the last.pt of a run" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_no_other_flows_are_resumed(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Scores on other held-out flows do not compare."""
+    data, out = shutil.copytree(dataset, tmp_path / dataset.name), tmp_path / "out"
+    assert run(dataset, out, "--updates", "1") == 0
+    # The same flows in another place.
+    assert run(data, out, "--updates", "2", "--resume") == 0
+    (data / "valid" / "0001.npz").unlink()
+    for other, begin in ((data, ()), (dataset, ("--begin", str(out / "best.safetensors")))):
+        assert run(other, out, "--updates", "3", "--resume", *begin) == 2
+        said = capsys.readouterr().err.splitlines()[-1]
+        assert "expected the flows and the --begin that the run was begun with" in said
+    assert last(out)["position"]["updates"] == 2
+
+
+def test_the_shortest_training_leaves_a_model(dataset: Path, tmp_path: Path) -> None:
+    assert run(dataset, tmp_path, "--minutes", "1e-9") == 0
+    assert card.read(tmp_path / "best.safetensors").training.updates == 1
 
 
 def test_validation_flows_are_of_every_kind(monkeypatch: pytest.MonkeyPatch) -> None:

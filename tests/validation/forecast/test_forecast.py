@@ -12,13 +12,14 @@ import rasterio
 from scipy.stats import norm
 
 from datasets import Mass, Scene, Solid, Trajectory
+from datasets.errors import InputError
 from inverse.saving import in_scene, known_of
 from mpm import ALL, LAST
 from tests.refusals import refused, refused_by
 from tests.scenes import flow_of, room, scene_of
 from validation import forecast_scene
 from validation.forecast.__main__ import main
-from validation.forecast.predict import height_of, numbers_of, predicted, recording_of, with_peaks
+from validation.forecast.predict import cells_error, height_of, numbers_of, predicted, recording_of, with_peaks
 from validation.run_store import RunStore
 
 SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), duration=0.1, frame_dt=0.05, floor_friction=0.4)
@@ -81,6 +82,23 @@ def test_the_error_of_the_cells_and_of_the_model_widen_an_interval() -> None:
     low, high = forecast.as_json()["numbers"]["front"]["interval"]
     assert high - low == pytest.approx(2.0 * norm.ppf(0.975) * spread, rel=0.1)
     assert forecast.as_json()["numbers"]["front"]["median"] == pytest.approx(0.6, abs=0.01)
+
+
+@pytest.mark.parametrize("fits", [True, False])
+def test_a_box_of_an_odd_number_of_cells_has_an_error_of_the_cells_too(fits: bool) -> None:
+    """In 3D, 41 cells high: a run on half the cells shows it, and a remark says so if that needs too much memory."""
+
+    class Limited(Slabs):
+        def flow(self, scene: Scene) -> Trajectory:
+            if scene.domain.cell < 0.02 and not fits:
+                raise InputError("a run needs more memory than is free")
+            return super().flow(scene)
+
+    sand = Mass(lower=(0.0, 0.0, 0.3), size=(0.2, 0.1, 0.2))
+    scene, flows = room(sand, cell=0.02, size=(0.8, 0.82, 0.8)), Limited(scatter=0.0)
+    cells, remark = cells_error(scene, ["friction_deg"], np.array([MEAN]), flows)
+    assert cells.get("front") == (pytest.approx(0.06) if fits else None)
+    assert remark.startswith("" if fits else "no interval includes the error of the cells: domain.size: expected")
 
 
 def test_files_and_what_a_scene_has_not(tmp_path: Path) -> None:

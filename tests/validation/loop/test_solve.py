@@ -22,6 +22,7 @@ from inverse import Parameter, Prior, Problem, TargetSettings, inference_data, p
 from inverse.answer import Purpose, Verdict
 from inverse.observations import FrontSettings, PassedSettings, ProfileSettings
 from inverse.posterior.settings import CONSTANTS
+from inverse.report import summary
 from inverse.search.inference import begun, narrowed
 from tests.inverse.test_fields import files
 from tests.scenes import scene_of
@@ -219,7 +220,12 @@ def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("thickness", "factors"),
-    [(0.1, (2.0,)), (0.05, (0.5, 2.0)), (((0.001, 0.3), (0.0, 0.2)), (2.0,)), (((0.05, 0.09), (0.0, 0.0)), (0.5, 2.0))],
+    [
+        (0.1, (2.0, 0.5)),
+        (0.05, (0.5, 2.0)),
+        (((0.001, 0.3), (0.0, 0.2)), (2.0, 0.5)),
+        (((0.05, 0.09), (0.0, 0.0)), (0.5, 2.0)),
+    ],
 )
 def test_the_error_of_the_cells_of_a_thin_layer_needs_smaller_ones(thickness: Any, factors: tuple[float, ...]) -> None:
     """Of one of less than two cells of 0.05 m, in the mean of where there is any."""
@@ -229,15 +235,30 @@ def test_the_error_of_the_cells_of_a_thin_layer_needs_smaller_ones(thickness: An
     assert verdict.other_cells(scene_of(), 3) == {0.5: 3}
 
 
-@pytest.mark.parametrize("fits", [True, False])
-def test_larger_cells_where_smaller_ones_take_too_much_memory(fits: bool) -> None:
-    scene = scene_of(Mass(kind="layer", thickness=0.05), size=(1.0, 1.0, 1.0), cell=0.05)
+LACKING = "a run needs more memory than is free"
+
+
+@pytest.mark.parametrize(
+    ("thickness", "height", "fits", "cells"),
+    [
+        (0.05, 1.0, True, [0.025]),
+        (0.05, 1.0, False, [0.025, 0.1]),
+        (0.3, 1.0, True, [0.1]),
+        (0.3, 1.05, True, [0.025]),
+        (0.3, 1.05, False, [0.025]),
+    ],
+)
+def test_other_cells_that_fit_the_box_and_the_memory(
+    thickness: float, height: float, fits: bool, cells: list[float]
+) -> None:
+    """A box 21 cells high divides only into smaller ones; if they need too much memory, the report says so."""
+    scene = scene_of(Mass(kind="layer", thickness=thickness), size=(1.0, height, 1.0), cell=0.05)
     made: list[list[float]] = []
 
     def compared(_: Any, scenes: Sequence[Scene], purpose: Purpose) -> tuple[str, ...]:
         made.append([each.domain.cell for each in scenes])
         if scenes[0].domain.cell < 0.05 and not fits:
-            raise InputError("a run needs more memory than is free")
+            raise InputError(LACKING)
         return (purpose.value,)
 
     check = SimpleNamespace(parameters=np.zeros(1), trajectory=SimpleNamespace(scene=scene))
@@ -248,8 +269,25 @@ def test_larger_cells_where_smaller_ones_take_too_much_memory(fits: bool) -> Non
         compared=compared,
     )
     answer: Any = SimpleNamespace(checks=(check, check))
-    assert verdict.on_other_cells(task, answer) == ("cells",)
-    assert made == [[0.025]] if fits else [[0.025], [0.1, 0.1]]
+    runs, remark = verdict.on_other_cells(task, answer)
+    assert made == [[cell] * (1 if cell < 0.05 else 2) for cell in cells]
+    assert runs == (() if remark else ("cells",))
+    said = "domain.size: expected a positive whole number of cells of 0.1 m, up to 1e+09 m, got [1.0, 1.05, 1.0]; "
+    assert remark == ("" if runs else f"no interval includes the error of the cells: {said}{LACKING}")
+
+
+def test_a_report_says_that_the_error_of_the_cells_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = wedge(tmp_path, value=0.6, scatter=0.001)
+
+    def needy(scene: Scene) -> Trajectory:
+        if scene.domain.cell < 0.01:
+            raise InputError(LACKING)
+        return run(scene)
+
+    run = case.mpm.run
+    monkeypatch.setattr(case.mpm, "run", needy)
+    said = f"At the answer: no interval includes the error of the cells: {LACKING}."
+    assert said in summary(case.solve(tmp_path / "out"))
 
 
 def test_fields_are_left_to_the_adjoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
