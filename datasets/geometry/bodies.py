@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import require
 from datasets.geometry.closed import Body
-from datasets.geometry.ground import TOUCHING, Floats, Solids, elevation, plan_axes
+from datasets.geometry.ground import TOUCHING, Floats, Solids, elevation, interpolated, plan_axes
 from datasets.geometry.inflow import Inflow, inflow, until
 from datasets.geometry.rings import check_simple
 from datasets.geometry.shapes import check_grid, check_shape
@@ -46,6 +46,9 @@ class Filling:
     lower: Floats  # lower corner of the box around the body [m], shape [D]
     upper: Floats  # upper corner [m], shape [D]
     contains: Within  # which of N places, one of each particle, are still in the body
+    ends: Callable[[Floats], Floats] | None = None
+    """Of a mesh or a layer: foot and top [m], [2, N], over N places in plan, NaN beside it; steps of a layer are ramps,
+    since water takes differences over a cell of the grid."""
     raised: Callable[[Floats], Floats] = np.copy  # places of the lattice where they are in the box, both [N, D] in m
     cover: Callable[[Floats], Floats] | None = None  # depth of places below the top [m], [N]; else below the highest
     thickness: Floats | None = None  # of a layer at the places of its lattice [m], shape [N]
@@ -153,10 +156,11 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     from scipy import ndimage  # commands with boxes only start without these libraries
 
     from datasets.geometry.nearest import inside
-    from datasets.geometry.surface import boundary
+    from datasets.geometry.surface import boundary, crossings
 
     vertices, triangles = outward(np.array(mass.vertices), np.array(mass.triangles, np.int64), f"{key}.triangles")
     body = Body(vertices=vertices, faces=triangles, friction=np.zeros(len(vertices)), key=key)
+    solid = cache(partial(boundary, [body], 0.0))
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     lattice, spacing = lattice_in(lower, upper, share)
     within = sliced(vertices, triangles, lattice)
@@ -166,10 +170,19 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
 
     def contains(places: Floats) -> NDArray[np.bool_]:
         contained: NDArray[np.bool_] = buried.copy()
-        contained[~buried] = inside(boundary([body], 0.0), places[~buried])
+        contained[~buried] = inside(solid(), places[~buried])
         return contained
 
-    box: dict[str, Any] = {"lower": lower, "upper": upper, "contains": contains}
+    def ends(plan: Floats) -> Floats:
+        # Particles of a lattice share their places in plan.
+        columns, number = np.unique(plan, axis=0, return_inverse=True)
+        line, y, _ = crossings(solid(), columns)
+        foot, top = np.full((2, len(columns)), [[np.inf], [-np.inf]])
+        np.minimum.at(foot, line, y)
+        np.maximum.at(top, line, y)
+        return np.where(foot <= top, [foot, top], np.nan)[:, number.ravel()]
+
+    box: dict[str, Any] = {"lower": lower, "upper": upper, "contains": contains, "ends": ends}
     missed = partial(missed_share, within, lower, upper, share, partial(sliced, vertices, triangles))
     volume = manifold(vertices, triangles).volume()
     return Filling(lattice=lattice[within], spacing=spacing, volume=volume, **box, missed=missed)
@@ -209,13 +222,17 @@ def layer(mass: Mass, domain: Domain, ground: Solids, share: float, key: str) ->
         moved[:, 1] += elevation(ground, domain, places[:, level])
         return moved
 
+    def ends(places: Floats) -> Floats:
+        foot = elevation(ground, domain, places)
+        return np.where(plan.thickness(places) > 0.0, [foot, foot + plan.smooth_thickness(places, domain.cell)], np.nan)
+
     def cover(places: Floats) -> Floats:
         top = elevation(ground, domain, places[:, level]) + plan.thickness(places[:, level])
         return np.asarray(np.maximum(top - places[:, 1], 0.0))
 
     lower, upper = np.insert(plan.lower, 1, float(floor.min())), np.insert(plan.upper, 1, float(top.max()))
     given: dict[str, Any] = {"lattice": lattice, "spacing": spacing, "shares": shares, "thickness": thickness}
-    place: dict[str, Any] = {"lower": lower, "upper": upper, "raised": raised, "cover": cover}
+    place: dict[str, Any] = {"lower": lower, "upper": upper, "ends": ends, "raised": raised, "cover": cover}
     return Filling(volume=plan.volume, contains=contains, **given, **place)
 
 
@@ -300,6 +317,23 @@ class Plan:
             return np.full(len(plan), float(self.values))
         cells = (np.searchsorted(edges, plan[:, axis], side="right") for axis, edges in enumerate(self.edges))
         return np.asarray(np.pad(self.values, 1)[tuple(cells)])
+
+    def smooth_thickness(self, plan: Floats, width: float) -> Floats:
+        """Thickness [m] at places in plan, shape [N]: that of their cell, with each step to the next cell spread over a
+        `width` [m], at most from centre to centre. No step at the end of the layer: there it keeps its thickness."""
+        from scipy import ndimage
+
+        if not self.edges:
+            return self.thickness(plan)
+        nearest = ndimage.distance_transform_edt(self.values == 0.0, return_distances=False, return_indices=True)
+        # Each cell has two nodes along each axis, between which it is level.
+        values, axes = self.values[tuple(nearest)].repeat(2, axis=0).repeat(2, axis=1), []
+        for edges in self.edges:
+            middle, level = 0.5 * (edges[:-1] + edges[1:]), max(0.0, edges[1] - edges[0] - width)
+            nodes = np.stack([middle - 0.5 * level, middle + 0.5 * level], axis=1).ravel()
+            nodes[[0, -1]] = edges[[0, -1]]
+            axes.append(nodes)
+        return interpolated(axes, values, plan)
 
 
 def height(scene: SceneLayout, mass: Mass) -> float:

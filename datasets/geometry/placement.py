@@ -13,7 +13,7 @@ from datasets.geometry.contact_surface import contact_surface_of, height_field
 from datasets.geometry.ground import CLOSING, TOUCHING, Floats, plan_axes
 from datasets.geometry.nearest import inside
 from datasets.geometry.shells import manifold
-from datasets.geometry.surface import Surface, closed_body, raster_body, solids_of, surface_in
+from datasets.geometry.surface import Surface, closed_body, crossings, raster_body, solids_of, surface_in
 from datasets.scene.parts import INFLOW, TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
 
 HOVERS = 0.1  # height above the ground, in cells, from which on a body is in flight
@@ -171,19 +171,8 @@ def underside(scene: SceneLayout, mass: Mass) -> Floats:
 def tops_beneath(surface: Surface, places: Floats, slack: float) -> Floats:
     """Elevation [m] of the highest place of the surface at or beneath each place [m], [N, D], or up to `slack` [m]
     above it; 0, the floor's, where there is none; shape [N]."""
-    level = plan_axes(surface.dimension)
-    # Above rounding only: the sides of a turned box have no area in plan.
-    up = surface.normals[:, 1] > 1.0e-9
-    corners, normals, plan = surface.corners[up], surface.normals[up], places[:, level]
-    if surface.dimension == 2:
-        plan, flat = np.insert(plan, 1, 0.0, axis=1), np.insert(corners[..., level], 1, 0.0, axis=2)
-        seen = shapely.linestrings(flat)
-    else:
-        seen = shapely.polygons(corners[..., level])
-    place, face = shapely.STRtree(seen).query(shapely.points(plan), predicate="dwithin", distance=TOUCHING)
-    offset = places[place][:, level] - corners[face, 0][:, level]
-    y = corners[face, 0, 1] - (offset * normals[face][:, level]).sum(axis=1) / normals[face, 1]
-    beneath = y <= places[place, 1] + slack
+    place, y, up = crossings(surface, places[:, plan_axes(surface.dimension)])
+    beneath = up & (y <= places[place, 1] + slack)
     tops = np.zeros(len(places))
     np.maximum.at(tops, place[beneath], y[beneath])
     return tops

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import require
 from datasets.geometry.closed import Body, pseudonormals, ring, snapped
-from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, grid_triangles, ground_grid
+from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, Integers, grid_triangles, ground_grid
 from datasets.geometry.rings import check_simple, cut_ring, lengthened_ring, union_of_rings
 from datasets.geometry.shells import cut_surface, lengthened_surface, outward, union_of_surfaces
 from datasets.scene.parts import ROUGH, Domain, SceneLayout, Solid, coefficient, keyed
@@ -100,6 +100,31 @@ def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...],
     surface = surface.chosen(((top >= -margin) & (low <= high + margin)).all(axis=1))
     surface.friction[np.array([solid.contact == "no-slip" for solid in solids])[surface.solid]] = np.inf
     return surface
+
+
+def crossings(surface: Surface, plan: Floats) -> tuple[Integers, Floats, NDArray[np.bool_]]:
+    """Where the vertical lines at places in plan [m], [N, D - 1], cross a surface, up to rounding of its sides: the
+    number of the line, the elevation [m], and whether the solid is below; each [K]."""
+    sloping, tree = faces_in_plan(surface)
+    level, flat = list(range(0, surface.dimension, 2)), np.zeros((len(plan), 2))
+    flat[:, : len(level)] = plan
+    line, number = tree.query(shapely.points(flat), predicate="dwithin", distance=TOUCHING)
+    face = sloping[number]
+    corners, normal = surface.corners[face], surface.normals[face]
+    offset = ((plan[line] - corners[:, 0, level]) * normal[:, level]).sum(axis=1)
+    y = corners[:, 0, 1] - offset / normal[:, 1]
+    return line, y.clip(corners[..., 1].min(axis=1), corners[..., 1].max(axis=1)), normal[:, 1] > 0.0
+
+
+@lru_cache(maxsize=2)
+def faces_in_plan(surface: Surface) -> tuple[Integers, shapely.STRtree]:
+    """The faces that are not vertical, [K], and where they lie in plan, in a tree."""
+    # Above rounding only: the sides of a turned box have no area in plan.
+    sloping = np.flatnonzero(np.abs(surface.normals[:, 1]) > 1.0e-9)
+    corners = surface.corners[sloping]
+    if surface.dimension == 3:
+        return sloping, shapely.STRtree(shapely.polygons(corners[..., [0, 2]]))
+    return sloping, shapely.STRtree(shapely.linestrings(corners * [1.0, 0.0]))
 
 
 def boundary(bodies: list[Body], gap: float) -> Surface:

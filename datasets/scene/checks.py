@@ -192,6 +192,8 @@ def check_water(scene: SceneLayout) -> None:
         check_reach("water.origin", water.origin or (), last, scene)
     for key, mass in keyed(scene, "masses").items():
         if scene.material_of(mass).saturated:
+            expected = "none that is saturated of an inflow, which enters without water"
+            require(mass.kind != INFLOW, f"{key}.material", expected, "one")
             continue
         above = -math.inf if water.pool is None else water.pool - mass.lower[1]
         dry = f"none above the foot of {key}, which is not saturated"

@@ -31,7 +31,7 @@ from datasets.geometry.bodies import filling, height
 from datasets.geometry.ground import elevation, interpolated, plan_axes
 from datasets.geometry.nearest import inside
 from datasets.geometry.surface import solids_of, surface_in
-from datasets.scene import DOMAIN_SIDES, INFLOW, TOLERANCE, Mass, Scene, keyed
+from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene, keyed
 from datasets.scene.particles import Particles
 from datasets.scene.parts import Water
 from datasets.scene.water import DENSITY
@@ -171,7 +171,8 @@ def column_top(scene: Scene, mass: Mass, plan: Floats) -> Floats:
 
 
 def extent(scene: Scene, mass: Mass, plan: Floats) -> tuple[Floats, Floats]:
-    """Lower and upper end [m] of a mass over places in plan [m], [N, D - 1]; NaN outside of it. Each [N]."""
+    """Lower and upper end [m] of a mass over places in plan [m], [N, D - 1]; NaN outside of it. Each [N]. Between the
+    cells of a layer the top has ramps: differences across a step would depend on rounding."""
     level = plan_axes(scene.dimension)
     inside = within(plan, mass, level)
     if mass.kind == "polygon":
@@ -179,22 +180,10 @@ def extent(scene: Scene, mass: Mass, plan: Floats) -> tuple[Floats, Floats]:
         ends = [np.interp(plan[:, 0], x, side) for side in both]
     elif mass.kind == "box":
         ends = [np.full(len(plan), mass.lower[1]), np.full(len(plan), mass.lower[1] + mass.size[1])]
-    elif mass.kind == "layer":
-        body, foot = filling(scene, mass), elevation(scene.solids, scene.domain, plan)
-        ends = [foot, foot + body.depth(np.insert(plan, 1, foot, axis=1))]
-        inside = inside & (ends[1] > foot)
     else:
-        # The columns of the lattice that fills the mesh.
-        body = filling(scene, mass)
-        first, steps = body.lattice.min(axis=0), body.spacing
-        index = np.rint((body.lattice - first) / steps).astype(np.int64)[:, level]
-        shape = tuple(index.max(axis=0) + 1)
-        lows, highs = np.full(shape, np.inf), np.full(shape, -np.inf)
-        np.minimum.at(lows, tuple(index.T), body.lattice[:, 1] - 0.5 * steps[1])
-        np.maximum.at(highs, tuple(index.T), body.lattice[:, 1] + 0.5 * steps[1])
-        at = np.rint((plan - first[level]) / steps[level]).astype(np.int64)
-        ends = [values[tuple(np.clip(at, 0, np.array(shape) - 1).T)] for values in (lows, highs)]
-        inside = inside & (ends[0] <= ends[1])
+        foot_and_top = filling(scene, mass).ends
+        assert foot_and_top is not None, "of a mesh or a layer"
+        ends = list(foot_and_top(plan))
     return np.where(inside, ends[0], np.nan), np.where(inside, ends[1], np.nan)
 
 
@@ -206,8 +195,6 @@ def pressure_slope(scene: Scene, mass: Mass, positions: Floats) -> Floats:
 def force_slope(scene: Scene, mass: Mass, positions: Floats) -> Floats:
     """grad p at `positions` [m], [N, D], of a mass [Pa/m], including the fall of p across its faces: the gradient of p
     - J (1 - d / h) at a distance d from a face, within a cell h of it, shape [N, D]."""
-    if mass.kind == INFLOW:
-        return pressure_slope(scene, mass, positions)
     cell, up = scene.domain.cell, 0.5 * scene.domain.cell * np.eye(scene.dimension)[1]
     slopes, falls = pressure_and_falls(scene, mass, positions)
     near = np.flatnonzero(np.any([kind > 0.0 for kind, _, _ in falls.values()], axis=0))
@@ -295,7 +282,7 @@ def pressure_beyond(scene: Scene, mass: Mass, beyond: Floats) -> Floats:
     depth = np.zeros(len(beyond)) if pool is None else np.maximum(pool - beyond[:, 1], 0.0)
     inner = np.zeros(len(beyond))
     for other in scene.masses:
-        if other is not mass and scene.material_of(other).saturated and other.kind != INFLOW:
+        if other is not mass and scene.material_of(other).saturated:
             there = within_body(scene, other, beyond)
             inner[there] = pressure_in(scene, other, beyond[there])[0]
     return np.stack([-DENSITY * scene.gravity_vector[1] * depth, inner])

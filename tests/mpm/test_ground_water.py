@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from datasets import Mass, Material, Scene, Solid
+from datasets.geometry.surface import raster_body
 from datasets.scene.particles import initial_particles
 from datasets.scene.parts import Water
 from datasets.scene.water import DENSITY
@@ -97,6 +98,67 @@ def test_water_at_rest_buoys_and_water_along_a_slope_drags() -> None:
     drag = force(wet_scene(sheet, solids=(bed,), water=Water(fixed=True)))
     # rho_w g cos^2, and this times the slope downhill.
     assert drag == pytest.approx(np.tile([0.5 * 0.8 * buoyancy[1], 0.8 * buoyancy[1]], (len(drag), 1)), rel=1e-6)
+
+
+FACE = (0.0, 6.0, 10.0, 12.0), (4.0, 4.0, 2.0, 2.0)  # x and top of a slope above a level floor [m]
+SECTION = Mass(kind="polygon", vertices=((12.0, 0.0), (0.0, 0.0), *zip(*FACE, strict=True)))
+
+
+def at_rest(body: Mass, cell: float, width: float | None = None, ratio: float | None = 0.3, **water: Any) -> Scene:
+    """A body in a box 12 m long, as it stands in a run for its factor of safety."""
+    body = dataclasses.replace(body, k0="elastic", initial_pore_pressure_ratio=ratio)
+    size = (12.0, 6.0) if width is None else (12.0, 6.0, width)
+    given = {"particles_per_axis": 1, "jitter": 0.0, "water": Water(fixed=True, **water), "floor_friction": "rough"}
+    return wet_scene(body, size=size, cell=cell, **given)
+
+
+def prism(width: float) -> Mass:
+    """The slope below FACE as a mesh."""
+    x, top = map(np.array, FACE)
+    body = raster_body(x, np.array([0.0, width]), top[:, None].repeat(2, axis=1), np.zeros((4, 2)), deep=0.0, key="")
+    vertices, triangles = (tuple(map(tuple, rows.tolist())) for rows in (body.vertices, body.faces))
+    return Mass(kind="mesh", vertices=vertices, triangles=triangles)
+
+
+def rows_of(thickness: Floats, step: float, width: float) -> Mass:
+    """A layer with thicknesses [m], [X, Z], in cells of step times width [m]."""
+    rows = tuple(map(tuple, thickness.tolist()))
+    return Mass(kind="layer", origin=(0.5 * step, 0.5 * width), spacing=(step, width), thickness=rows)
+
+
+def force_of_water(of: Scene) -> Floats:
+    """The sum of V grad p over the particles of a scene [N], in 3D per width; shape [D]."""
+    particles = initial_particles(of)
+    return particles.volume @ initial_water(of, particles)[1] / (of.domain.size[2] if of.dimension == 3 else 1.0)
+
+
+@pytest.mark.parametrize("cell", [0.4, 0.25, 0.2])
+@pytest.mark.parametrize("cells", [None, 0.5, 1.0, 3.0])
+def test_water_drives_a_slope_in_3d(cells: float | None, cell: float) -> None:
+    """A mesh, or rows of so many cells, by r_u rho g times the integral of h dh/dx, and the area."""
+    body = prism(2.0 * cell)
+    if cells is not None:
+        step = cells * cell
+        body = rows_of(np.interp(np.arange(0.5 * step, 12.0, step), *FACE)[:, None], step, 2.0 * cell)
+    force = force_of_water(at_rest(body, cell, 2.0 * cell))
+    exact = -0.3 * SOIL * GRAVITY * np.array([0.5 * (4.0**2 - 2.0**2), 40.0, 0.0])
+    assert force == pytest.approx(exact, rel=1e-9 if cells is None else 0.015, abs=1e-3)
+
+
+@pytest.mark.parametrize("cell", [0.4, 0.25, 0.2])
+@pytest.mark.parametrize("water", [{"level": 3.0}, {"level": 3.0, "pool": 2.4}])
+def test_water_presses_on_a_mesh_as_on_its_cross_section(water: dict[str, float], cell: float) -> None:
+    force = force_of_water(at_rest(prism(2.0 * cell), cell, 2.0 * cell, None, **water))
+    assert force[:2] == pytest.approx(force_of_water(at_rest(SECTION, cell, None, None, **water)), rel=1e-9)
+
+
+@pytest.mark.parametrize("cell", [0.5, 0.25, 0.2])
+def test_water_drives_a_raster_of_thickness_in_both_directions(cell: float) -> None:
+    x, z = 0.5 + np.arange(12.0), 0.5 + np.arange(3.0)
+    h = 4.0 - 0.2 * x[:, None] + 0.3 * z + 0.1 * np.sin(x[:, None] * z)
+    force = force_of_water(at_rest(rows_of(h, 1.0, 1.0), cell, 3.0))
+    ends = (h[-1] ** 2 - h[0] ** 2).sum(), -2.0 * h.sum(), (h[:, -1] ** 2 - h[:, 0] ** 2).sum()
+    assert force == pytest.approx(0.3 * SOIL * GRAVITY / 2.0 / 3.0 * np.array(ends), rel=0.035)
 
 
 CLAY = dataclasses.replace(WET, friction_deg=0.0, cohesion=0.25 * SOIL * GRAVITY, tension_cutoff=1.0e6)
@@ -223,6 +285,12 @@ def test_tables_that_are_none_are_refused() -> None:
     refused(wet_scene, water=Water(pool=0.1, fixed=True), slope_deg=10.0, said=said)
 
 
+def test_a_saturated_inflow_is_refused() -> None:
+    inflow = Mass(kind="inflow", section=((0.1,),), hydrograph=((0.0, 0.1, 1.0), (1.0, 0.1, 1.0)))
+    said = "masses[1].material: expected none that is saturated of an inflow, which enters without water"
+    refused(wet_scene, BED, inflow, water=Water(fixed=True), said=said)
+
+
 def test_a_pool_that_would_stand_on_dry_material_is_refused() -> None:
     foundation = dataclasses.replace(BED, size=(1.0, 0.2))
     dam = Mass(lower=(0.2, 0.2), size=(0.4, 0.2), material=dataclasses.replace(WET, saturated=False))
@@ -275,6 +343,16 @@ FACTORS: list[tuple[KnownSlope, dict[str, float], float]] = [
 The same search gave 1.377 for 1.38 without water (Bishop & Morgenstern 1960), and below a pool as high as the slope and
 0.3 times as high 1.838 and 1.299 for 1.85 and 1.3 (Griffiths & Lane 1999).
 """
+
+
+@pytest.mark.slow
+def test_a_factor_with_water_in_3d_is_that_in_2d() -> None:
+    heights = np.interp(np.arange(0.2, 12.0, 0.4), *FACE)[:, None]
+    clay = dataclasses.replace(WET, friction_deg=25.0, dilation_deg=25.0, cohesion=2000.0, softening_length=1.0e6)
+    bodies = ((SECTION, None), (prism(0.4), 0.4), (rows_of(heights, 0.4, 0.4), 0.4))
+    scenes = [dataclasses.replace(at_rest(body, 0.4, width), material=clay) for body, width in bodies]
+    plane, *spatial = (safety_factor(scene).factor for scene in scenes)
+    assert spatial == pytest.approx([plane, plane], rel=0.02)
 
 
 @pytest.mark.slow
