@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from dataclasses import dataclass
 
 from datasets.files import json_object
@@ -9,6 +10,8 @@ from datasets.scene.checks import checked
 from datasets.scene.parts import SceneLayout
 from datasets.scene.stiffness import with_stiffness
 from datasets.schema import from_mapping
+
+ROUNDING = 1.0e-6  # part of a cell, or of a height, that counts as none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +34,12 @@ class Scene(SceneLayout):
             object.__setattr__(self, key, value)
 
     def with_cell(self, cell: float) -> "Scene":
-        """The scene on cells of another size [m]. Raises InputError unless the box is a whole number of them."""
-        return dataclasses.replace(self, domain=dataclasses.replace(self.domain, cell=cell))
+        """The scene on cells of another size [m], in a box whose height rounds up to whole cells: there it holds air.
+        Raises InputError unless its other sides are whole numbers of cells."""
+        length, height, *width = self.domain.size
+        whole = math.ceil(height / cell - ROUNDING) * cell if cell > 0.0 else height
+        size = (length, whole if whole > height * (1.0 + ROUNDING) else height, *width)
+        return dataclasses.replace(self, domain=dataclasses.replace(self.domain, size=size, cell=cell))
 
     def with_friction_deg(self, friction_deg: float) -> "Scene":
         """The same scene with another friction angle [deg] of its shared material."""

@@ -236,7 +236,7 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[tuple[MpmRun, ...], str]
 def other_cells(scene: Scene, runs: int) -> dict[float, int]:
     """Sizes of the cells that show the error of the cells of `scene`, over the size of these, the best one first, each
     with the number of runs beside `runs` on the scene's cells. Half the size in 2D, twice the size in 3D, where half
-    the size costs sixteen times as much; a box with a side of an odd number of cells divides only into smaller ones.
+    the size costs sixteen times as much; a box an odd number of cells long or wide divides only into smaller ones.
     If a mass is thinner than `THIN` cells, larger cells do not show the error: for a slide a quarter of a cell thick,
     the change on larger cells has the other sign than the change on smaller cells."""
     thin = min(map(mean_thickness, scene.masses)) < THIN * scene.domain.cell

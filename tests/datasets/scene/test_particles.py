@@ -147,3 +147,10 @@ def test_a_field_of_velocity_brings_its_slope() -> None:
 )
 def test_bad_fields_are_named(changes: dict[str, object], key: str) -> None:
     assert refused(lambda: dataclasses.replace(SCENE, fields=(dataclasses.replace(FRICTION, **changes),))).key == key
+
+
+def test_on_other_cells_the_box_is_higher_if_need_be() -> None:
+    scene = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), size=(0.8, 0.21), cell=0.01)
+    assert scene.with_cell(0.02).domain.size == pytest.approx((0.8, 0.22))
+    assert scene.with_cell(0.005).domain.size == scene.domain.size
+    refused(scene.with_cell, 0.03, said="domain.size")

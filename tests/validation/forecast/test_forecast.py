@@ -86,7 +86,7 @@ def test_the_error_of_the_cells_and_of_the_model_widen_an_interval() -> None:
 
 @pytest.mark.parametrize("fits", [True, False])
 def test_a_box_of_an_odd_number_of_cells_has_an_error_of_the_cells_too(fits: bool) -> None:
-    """In 3D, 41 cells high: a run on half the cells shows it, and a remark says so if that needs too much memory."""
+    """In 3D, 41 cells long: a run on half the cells shows it, and a remark says so if that needs too much memory."""
 
     class Limited(Slabs):
         def flow(self, scene: Scene) -> Trajectory:
@@ -95,7 +95,7 @@ def test_a_box_of_an_odd_number_of_cells_has_an_error_of_the_cells_too(fits: boo
             return super().flow(scene)
 
     sand = Mass(lower=(0.0, 0.0, 0.3), size=(0.2, 0.1, 0.2))
-    scene, flows = room(sand, cell=0.02, size=(0.8, 0.82, 0.8)), Limited(scatter=0.0)
+    scene, flows = room(sand, cell=0.02, size=(0.82, 0.82, 0.8)), Limited(scatter=0.0)
     cells, remark = cells_error(scene, ["friction_deg"], np.array([MEAN]), flows)
     assert cells.get("front") == (pytest.approx(0.06) if fits else None)
     assert remark.startswith("" if fits else "no interval includes the error of the cells: domain.size: expected")

@@ -239,7 +239,7 @@ LACKING = "a run needs more memory than is free"
 
 
 @pytest.mark.parametrize(
-    ("thickness", "height", "fits", "cells"),
+    ("thickness", "length", "fits", "cells"),
     [
         (0.05, 1.0, True, [0.025]),
         (0.05, 1.0, False, [0.025, 0.1]),
@@ -249,10 +249,10 @@ LACKING = "a run needs more memory than is free"
     ],
 )
 def test_other_cells_that_fit_the_box_and_the_memory(
-    thickness: float, height: float, fits: bool, cells: list[float]
+    thickness: float, length: float, fits: bool, cells: list[float]
 ) -> None:
-    """A box 21 cells high divides only into smaller ones; if they need too much memory, the report says so."""
-    scene = scene_of(Mass(kind="layer", thickness=thickness), size=(1.0, height, 1.0), cell=0.05)
+    """A box 21 cells long divides only into smaller ones; if they need too much memory, the report says so."""
+    scene = scene_of(Mass(kind="layer", thickness=thickness), size=(length, 1.05, 1.0), cell=0.05)
     made: list[list[float]] = []
 
     def compared(_: Any, scenes: Sequence[Scene], purpose: Purpose) -> tuple[str, ...]:
@@ -272,7 +272,7 @@ def test_other_cells_that_fit_the_box_and_the_memory(
     runs, remark = verdict.on_other_cells(task, answer)
     assert made == [[cell] * (1 if cell < 0.05 else 2) for cell in cells]
     assert runs == (() if remark else ("cells",))
-    said = "domain.size: expected a positive whole number of cells of 0.1 m, up to 1e+09 m, got [1.0, 1.05, 1.0]; "
+    said = "domain.size: expected a positive whole number of cells of 0.1 m, up to 1e+09 m, got [1.05, 1.1, 1.0]; "
     assert remark == ("" if runs else f"no interval includes the error of the cells: {said}{LACKING}")
 
 
