@@ -195,7 +195,7 @@ def test_runs_on_larger_cells_lead_to_few_on_those_of_the_scene(tmp_path: Path) 
 
 def test_larger_cells_must_fit_the_box(tmp_path: Path) -> None:
     case = wedge(tmp_path)
-    narrow = replace(case.problem.scene, domain=Domain(size=(1.2, 0.41), cell=0.01))
+    narrow = replace(case.problem.scene, domain=Domain(size=(1.21, 0.4), cell=0.01))
     case = replace(case, problem=replace(case.problem, scene=narrow))
     refused(choose, task(case, tmp_path, Surrogate.COARSE), said="cell")
 
