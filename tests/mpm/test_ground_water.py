@@ -351,8 +351,9 @@ def test_a_factor_with_water_in_3d_is_that_in_2d() -> None:
     clay = dataclasses.replace(WET, friction_deg=25.0, dilation_deg=25.0, cohesion=2000.0, softening_length=1.0e6)
     bodies = ((SECTION, None), (prism(0.4), 0.4), (rows_of(heights, 0.4, 0.4), 0.4))
     scenes = [dataclasses.replace(at_rest(body, 0.4, width), material=clay) for body, width in bodies]
-    plane, *spatial = (safety_factor(scene).factor for scene in scenes)
-    assert spatial == pytest.approx([plane, plane], rel=0.02)
+    plane, mesh, stairs = (safety_factor(scene).factor for scene in scenes)
+    assert mesh == pytest.approx(plane, rel=0.01)
+    assert stairs == pytest.approx(plane, rel=0.04)
 
 
 @pytest.mark.slow
